@@ -1,27 +1,146 @@
-"""What a run consists of: its settings, the names of its nodes and topics, the parameters of its nodes."""
+"""What a run consists of: its source and settings, the names of its nodes and topics, the parameters of its nodes."""
 
 import json
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
+
+from rclpy.parameter import Parameter
 
 from sugiyama_ros.driver.parameters import NAMES, population
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.formats.truth import namespaces
 from sugiyama_ros.laws.registry import PAPERS, law
-from sugiyama_ros.nodes.driver_array import TOPIC
-from sugiyama_ros.nodes.driver_parameters import ENGINES, engine_of
-from sugiyama_ros.nodes.replay import samples_of
-from sugiyama_ros.nodes.run_source import FromFile, FromSimulator, FromTracks, RunSource
-from sugiyama_ros.nodes.saved_state import file_of, read_learnt
-from sugiyama_ros.nodes.track_samples import TrackSamples
+from sugiyama_ros.nodes.base.feed import DRIVERS_TOPIC
+from sugiyama_ros.nodes.base.parameters import ENGINES, engine_of
+from sugiyama_ros.nodes.keeper import file_of, read_learnt
+from sugiyama_ros.nodes.replay import RecordedPositions, Replay, TrackSamples, samples_of
+from sugiyama_ros.nodes.simulator import SimulatorNode
+from sugiyama_ros.nodes.source import Source
 from sugiyama_ros.outputs import Output, make_directory
+from sugiyama_ros.simulation.experiment import Experiment
 
-REPLAY, RECORDER, CRITIC, DRIVERS = FromFile.node, "/recorder", "/critic", "/drivers"
+REPLAY, RECORDER, CRITIC, DRIVERS = "/replay", "/recorder", "/critic", "/drivers"
 #: Vehicles up to which a run makes a node for each driver: 100 of them take half a minute to start, and 600 MB.
 MOST_NODES = 100
+
+
+def true_topics(vehicles: Iterable[int]) -> list[str]:
+    """Full names of the topics with the true motion of simulated vehicles."""
+    return [f"{space}/truth" for space in namespaces(vehicles)]
+
+
+@dataclass(frozen=True)
+class FromFile:
+    """A file that is replayed: trajectories, or vehicles that come and go."""
+
+    path: Path
+    samples: RecordedPositions | TrackSamples
+    node: ClassVar[str] = REPLAY
+
+    @property
+    def has_tracks(self) -> bool:
+        """Whether the vehicles come and go, so that one node follows all of them."""
+        return isinstance(self.samples, TrackSamples)
+
+    @property
+    def vehicles(self) -> list[int]:
+        """Numbers of the vehicles."""
+        return self.samples.vehicle
+
+    @property
+    def steps(self) -> int:
+        """Samples in the recording."""
+        return self.samples.steps
+
+    @property
+    def period_s(self) -> float:
+        """Time [s] between two samples."""
+        return self.samples.period_s
+
+    @property
+    def topics(self) -> list[str]:
+        """Further topics with one message a step: the true motion of every vehicle, where drivers were simulated."""
+        truth = None if isinstance(self.samples, TrackSamples) else self.samples.truth
+        return [] if truth is None else true_topics(truth.vehicle.tolist())
+
+    @property
+    def parameters(self) -> Mapping[str, Any]:
+        """Parameters of the replay."""
+        return {"source": str(self.path), "ring": self.samples.road.circumference_m}
+
+    @property
+    def about(self) -> Mapping[str, Any]:
+        """Name and checksum of the file, and which vehicle has which number, where the numbers are not the names."""
+        about = {"source": self.samples.source, "sha256": self.samples.sha256}
+        return {**about, "vehicle_names": json.dumps(self.samples.names)} if self.samples.names else about
+
+    def start(self, overrides: list[Parameter]) -> Source:
+        """The replay; it does not read the file again."""
+        return Replay(self.samples, parameter_overrides=overrides)
+
+
+@dataclass(frozen=True)
+class FromSimulator:
+    """``number`` drivers in an experiment: their model file, changed parameters, and effects as text."""
+
+    number: int
+    experiment: Experiment
+    model: Path | None = None
+    changes: Mapping[str, float] = field(default_factory=dict)
+    effects: tuple[str, ...] = ()
+    node: ClassVar[str] = "/simulator"
+    has_tracks: ClassVar[bool] = False
+
+    @property
+    def vehicles(self) -> list[int]:
+        """Numbers of the vehicles."""
+        return list(range(self.number))
+
+    @property
+    def steps(self) -> int:
+        """Samples of the simulation."""
+        return self.experiment.samples
+
+    @property
+    def period_s(self) -> float:
+        """Time [s] between two samples."""
+        return self.experiment.period_s
+
+    @property
+    def topics(self) -> list[str]:
+        """The true motion of every vehicle."""
+        return true_topics(self.vehicles)
+
+    @property
+    def parameters(self) -> Mapping[str, Any]:
+        """Parameters of the simulator."""
+        e = self.experiment
+        return {
+            "vehicles": self.number,
+            "ring": e.ring_m,
+            "duration": e.duration_s,
+            "start": e.start,
+            "start_gap": e.gap_m,
+            "lengths": list(e.length_m) or [0.0],
+            "period": e.period_s,
+            "spread": e.spread,
+            "seed": e.seed,
+            "model": str(self.model or ""),
+            "effects": list(self.effects) or [""],
+            **self.changes,
+        }
+
+    @property
+    def about(self) -> Mapping[str, Any]:
+        """The setting of the experiment."""
+        return {"source": "adaptiveSeek", "sha256": "", **{f"simulator_{k}": v for k, v in self.parameters.items()}}
+
+    def start(self, overrides: list[Parameter]) -> Source:
+        """The simulator."""
+        return SimulatorNode(parameter_overrides=overrides)
 
 
 def estimators(spaces: Iterable[str]) -> list[str]:
@@ -69,7 +188,7 @@ class RunSettings:
 class Plan:
     """Send what ``source`` holds, and record everything in ``output``."""
 
-    source: RunSource
+    source: FromFile | FromSimulator
     output: Path
     settings: RunSettings
 
@@ -91,7 +210,8 @@ class Plan:
                 raise InputError(f"--law: the model file {settings.model} says it; leave out --law or --model")
         if settings.save_state is not None:
             make_directory(settings.save_state)
-        plan = cls(_opened(source, settings.ring_m) if isinstance(source, Path) else source, output, settings)
+        opened = FromFile(source, samples_of(source, settings.ring_m)) if isinstance(source, Path) else source
+        plan = cls(opened, output, settings)
         plan.check_size()
         plan.check_saved_states()
         if settings.resume is not None:
@@ -105,15 +225,10 @@ class Plan:
                 read_learnt(path)
         return plan
 
-    @property
-    def has_tracks(self) -> bool:
-        """Whether the vehicles come and go, so that one node follows all of them."""
-        return isinstance(self.source, FromTracks)
-
     def check_size(self) -> None:
         """Raise InputError for what the graph of a run cannot do."""
         count = len(self.source.vehicles)
-        if not self.has_tracks and count > MOST_NODES:
+        if not self.source.has_tracks and count > MOST_NODES:
             raise InputError(
                 f"{count} vehicles: a node for each driver works for at most {MOST_NODES}; convert the file to tracks,"
                 " which one node follows: sugiyama convert FILE TRACKS.parquet, or cut out some vehicles"
@@ -134,7 +249,7 @@ class Plan:
     @property
     def vehicles_with_topics(self) -> list[int]:
         """Vehicles that have topics of their own; none where one message holds all drivers."""
-        return [] if self.has_tracks or self.settings.array else self.source.vehicles
+        return [] if self.source.has_tracks or self.settings.array else self.source.vehicles
 
     @property
     def namespaces(self) -> list[str]:
@@ -149,9 +264,9 @@ class Plan:
     @property
     def step_topics(self) -> list[str]:
         """Full names of the topics with one message a step."""
-        if self.has_tracks:
+        if self.source.has_tracks:
             return ["/clock", "/measured", *self.source.topics]
-        own = ["/clock", "/measured", f"/{TOPIC}"] if self.settings.array else step_topics(self.namespaces)
+        own = ["/clock", "/measured", f"/{DRIVERS_TOPIC}"] if self.settings.array else step_topics(self.namespaces)
         return [*own, *self.source.topics]
 
     @property
@@ -171,7 +286,7 @@ class Plan:
     @property
     def followers(self) -> list[str]:
         """Full names of the nodes that follow the source; without the recorder."""
-        own = [DRIVERS] if self.has_tracks else self.estimators
+        own = [DRIVERS] if self.source.has_tracks else self.estimators
         return [*own, *([CRITIC] if self.settings.critic else [])]
 
     @property
@@ -201,12 +316,6 @@ class Plan:
             "time_source": "data",
             "metadata": [f"{key}={value}" for key, value in about.items()],
         }
-
-
-def _opened(path: Path, ring_m: float | None) -> RunSource:
-    """What a file holds: vehicles that come and go, or trajectories on one lane. Raises InputError."""
-    samples = samples_of(path, ring_m)
-    return FromTracks(path, samples) if isinstance(samples, TrackSamples) else FromFile(path, samples)
 
 
 def _check_names(*paths: Path | None) -> None:

@@ -16,7 +16,7 @@ from sugiyama_ros.filters.causal import filter_chain
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import ADAPT
 from sugiyama_ros.formats.plain_csv import write_csv
-from sugiyama_ros.nodes import effect_services
+from sugiyama_ros.nodes.base import node as base_node
 from sugiyama_ros.nodes.base.qos import STREAM
 from sugiyama_ros.nodes.critic import Critic
 from sugiyama_ros.nodes.estimator import Estimator
@@ -148,7 +148,7 @@ def test_effects_are_checked_added_and_removed(stage, ring_csv: Path) -> None:
 
 def test_nothing_waits_for_estimators_that_are_not_there(stage, delayed, tmp_path: Path, monkeypatch) -> None:
     """One of ten drivers has an estimator, who gets the effect: the answer comes at once, and says who is missing."""
-    monkeypatch.setattr(effect_services, "_READY_S", 3600.0)
+    monkeypatch.setattr(base_node, "_READY_S", 3600.0)
     write_csv(delayed, tmp_path / "delayed.csv")
     about = {"source": str(tmp_path / "delayed.csv"), "ring": RING_M, "rate": 0.0, "start_paused": True}
     replay = Replay(parameter_overrides=[Parameter(k, value=v) for k, v in about.items()])

@@ -22,7 +22,7 @@ from sugiyama_ros.nodes.base.node import OK, WARN
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER
 from sugiyama_ros.nodes.drivers import DriversNode
-from sugiyama_ros.nodes.saved_state import read_learnt
+from sugiyama_ros.nodes.keeper import read_learnt
 from sugiyama_ros.road import Road as OpenRoad
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]

@@ -25,8 +25,7 @@ from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.estimator import Estimator
-from sugiyama_ros.nodes.keeper import Keeper
-from sugiyama_ros.nodes.saved_state import Kept, file_of, read_learnt, write_learnt
+from sugiyama_ros.nodes.keeper import Keeper, Kept, file_of, read_learnt, write_learnt
 from sugiyama_ros.road import Road as RingRoad
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
@@ -383,7 +382,8 @@ def test_a_killed_node_continues_from_its_file(stage, tmp_path: Path) -> None:
     def drive(estimator: Estimator, begin: int, end: int) -> None:
         for k in range(begin, end):
             road.send(k * PERIOD_S, dict(zip((7, 8), position[k].tolist(), strict=True)))
-        stage.until(lambda: estimator.stamp_ns == round((end - 1) * PERIOD_S * cdr_messages.NS))
+        last_ns = round((end - 1) * PERIOD_S * cdr_messages.NS)
+        stage.until(lambda: estimator.follower is not None and estimator.follower.stamp_ns == last_ns)
 
     stage.add(road, first)
     stage.until(lambda: first.health().level == OK)
@@ -392,7 +392,7 @@ def test_a_killed_node_continues_from_its_file(stage, tmp_path: Path) -> None:
     saved = read_learnt(file_of(tmp_path, 7))
     stage.kill(first)
     again = Estimator(namespace="/vehicle_07", parameter_overrides=[Parameter("resume", value=str(tmp_path))])
-    assert again.kept.learnt.mean.tolist() == saved.learnt.mean.tolist()
+    assert again.known[7].learnt.mean.tolist() == saved.learnt.mean.tolist()
     assert saved.until_ns == 20 * cdr_messages.NS
     stage.add(again)
     # the road is latched; the samples since its predecessor's last file are gone
@@ -420,7 +420,8 @@ def test_a_killed_node_continues_from_the_keeper(stage) -> None:
     def drive(estimator: Estimator, begin: int, end: int) -> None:
         for k in range(begin, end):
             road.send(k * PERIOD_S, dict(zip((7, 8), position[k].tolist(), strict=True)))
-        stage.until(lambda: estimator.stamp_ns == round((end - 1) * PERIOD_S * cdr_messages.NS))
+        last_ns = round((end - 1) * PERIOD_S * cdr_messages.NS)
+        stage.until(lambda: estimator.follower is not None and estimator.follower.stamp_ns == last_ns)
 
     stage.add(road, keeper, first)
     stage.until(lambda: first.health().level == OK and dict(keeper.health().values)["drivers"] == 1)
@@ -431,7 +432,7 @@ def test_a_killed_node_continues_from_the_keeper(stage) -> None:
     again = Estimator(namespace="/vehicle_07", parameter_overrides=[Parameter("ask_keeper", value=True)])
     stage.add(again)
     drive(again, 60, 80)
-    assert again.kept.until_ns == 29 * cdr_messages.NS
+    assert again.known[7].until_ns == 29 * cdr_messages.NS
     never = OnlineFilter(PERIOD_S, RingRoad(100.0))
     for k in range(80):
         never.step([*position[k], nan], [7, 8, 9], [4.5, 4.5, 0.0], k * PERIOD_S)
