@@ -345,7 +345,7 @@ class DriverTopics:
         names = [ROW.entries[k] for k in shown]
         self._v_star = filter_.adapted.index("v_star") if "v_star" in filter_.adapted else None
         self._names = ParameterNames(tuple(names), filter_.adapted)
-        self._message = cdr_messages.Parameters(self._vehicle, names, filter_.adapted)
+        self._message = cdr_messages.ParametersWriter(self._vehicle, names, filter_.adapted)
 
     def restart(self) -> None:
         """Publish the parameters with the next sample, whatever its stamp."""

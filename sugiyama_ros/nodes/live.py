@@ -13,8 +13,7 @@ from tornado.ioloop import IOLoop, PeriodicCallback
 from sugiyama_ros.errors import SugiyamaError
 from sugiyama_ros.nodes.base import environment
 from sugiyama_ros.nodes.base.spin import Spinner, ros
-from sugiyama_ros.nodes.plan import FromFile, Plan, RunSettings
-from sugiyama_ros.nodes.replay import TrackSamples
+from sugiyama_ros.nodes.plan import Plan, RunSettings
 from sugiyama_ros.nodes.run import OneProcess
 from sugiyama_ros.nodes.view import View
 from sugiyama_ros.page.guard import Guard, log_quietly
@@ -71,8 +70,7 @@ def serve(
 def _plan(source: Path, output: Path, settings: RunSettings) -> Plan:
     """What runs beside the page; without a critic where too many vehicles are in view."""
     plan = Plan.read(source, output, settings)
-    samples = plan.source.samples if isinstance(plan.source, FromFile) else None
-    if isinstance(samples, TrackSamples) and samples.drivers_per_s > _CRITIC_AT_MOST:
+    if plan.source.tracks is not None and plan.source.tracks.drivers_per_s > _CRITIC_AT_MOST:
         return replace(plan, settings=replace(settings, critic=False))
     return plan
 

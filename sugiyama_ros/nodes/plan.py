@@ -1,10 +1,10 @@
 """What a run consists of: its source and settings, the names of its nodes and topics, the parameters of its nodes."""
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from rclpy.parameter import Parameter
 
@@ -16,7 +16,7 @@ from sugiyama_ros.laws.registry import PAPERS, law
 from sugiyama_ros.nodes.base.feed import DRIVERS_TOPIC
 from sugiyama_ros.nodes.base.parameters import ENGINES, engine_of
 from sugiyama_ros.nodes.keeper import file_of, read_learnt
-from sugiyama_ros.nodes.replay import RecordedPositions, Replay, TrackSamples, samples_of
+from sugiyama_ros.nodes.replay import Replay, TrackSamples, samples_of
 from sugiyama_ros.nodes.simulator import SimulatorNode
 from sugiyama_ros.nodes.source import Source
 from sugiyama_ros.outputs import Output, make_directory
@@ -32,54 +32,44 @@ def true_topics(vehicles: Iterable[int]) -> list[str]:
     return [f"{space}/truth" for space in namespaces(vehicles)]
 
 
-@dataclass(frozen=True)
-class FromFile:
-    """A file that is replayed: trajectories, or vehicles that come and go."""
+@dataclass(frozen=True, eq=False)
+class RunSource:
+    """Where the positions of a run come from.
 
-    path: Path
-    samples: RecordedPositions | TrackSamples
-    node: ClassVar[str] = REPLAY
+    node: full name of the node that sends them; topics: further topics with one message a step; parameters, about: of
+    the node, and what the recording says about the source; start: makes the node, with its parameters; tracks: where
+    the vehicles come and go, so that one node follows all of them.
+    """
 
-    @property
-    def has_tracks(self) -> bool:
-        """Whether the vehicles come and go, so that one node follows all of them."""
-        return isinstance(self.samples, TrackSamples)
+    node: str
+    vehicles: list[int]
+    steps: int
+    period_s: float
+    topics: list[str]
+    parameters: Mapping[str, Any]
+    about: Mapping[str, Any]
+    start: Callable[[list[Parameter]], Source]
+    tracks: TrackSamples | None = None
 
-    @property
-    def vehicles(self) -> list[int]:
-        """Numbers of the vehicles."""
-        return self.samples.vehicle
 
-    @property
-    def steps(self) -> int:
-        """Samples in the recording."""
-        return self.samples.steps
-
-    @property
-    def period_s(self) -> float:
-        """Time [s] between two samples."""
-        return self.samples.period_s
-
-    @property
-    def topics(self) -> list[str]:
-        """Further topics with one message a step: the true motion of every vehicle, where drivers were simulated."""
-        truth = None if isinstance(self.samples, TrackSamples) else self.samples.truth
-        return [] if truth is None else true_topics(truth.vehicle.tolist())
-
-    @property
-    def parameters(self) -> Mapping[str, Any]:
-        """Parameters of the replay."""
-        return {"source": str(self.path), "ring": self.samples.road.circumference_m}
-
-    @property
-    def about(self) -> Mapping[str, Any]:
-        """Name and checksum of the file, and which vehicle has which number, where the numbers are not the names."""
-        about = {"source": self.samples.source, "sha256": self.samples.sha256}
-        return {**about, "vehicle_names": json.dumps(self.samples.names)} if self.samples.names else about
-
-    def start(self, overrides: list[Parameter]) -> Source:
-        """The replay; it does not read the file again."""
-        return Replay(self.samples, parameter_overrides=overrides)
+def from_file(path: Path, ring_m: float | None) -> RunSource:
+    """A file that is replayed. Raises InputError."""
+    samples = samples_of(path, ring_m)
+    truth = getattr(samples, "truth", None)
+    about = {"source": samples.source, "sha256": samples.sha256}
+    # which vehicle has which number, where the numbers are not the names
+    names = {"vehicle_names": json.dumps(samples.names)} if samples.names else {}
+    return RunSource(
+        node=REPLAY,
+        vehicles=samples.vehicle,
+        steps=samples.steps,
+        period_s=samples.period_s,
+        topics=true_topics(truth.vehicle.tolist()) if truth is not None else [],
+        parameters={"source": str(path), "ring": samples.road.circumference_m},
+        about=about | names,
+        start=lambda overrides: Replay(samples, parameter_overrides=overrides),
+        tracks=samples if isinstance(samples, TrackSamples) else None,
+    )
 
 
 @dataclass(frozen=True)
@@ -91,34 +81,12 @@ class FromSimulator:
     model: Path | None = None
     changes: Mapping[str, float] = field(default_factory=dict)
     effects: tuple[str, ...] = ()
-    node: ClassVar[str] = "/simulator"
-    has_tracks: ClassVar[bool] = False
 
     @property
-    def vehicles(self) -> list[int]:
-        """Numbers of the vehicles."""
-        return list(range(self.number))
-
-    @property
-    def steps(self) -> int:
-        """Samples of the simulation."""
-        return self.experiment.samples
-
-    @property
-    def period_s(self) -> float:
-        """Time [s] between two samples."""
-        return self.experiment.period_s
-
-    @property
-    def topics(self) -> list[str]:
-        """The true motion of every vehicle."""
-        return true_topics(self.vehicles)
-
-    @property
-    def parameters(self) -> Mapping[str, Any]:
-        """Parameters of the simulator."""
-        e = self.experiment
-        return {
+    def source(self) -> RunSource:
+        """The simulator, as the source of a run."""
+        e, vehicles = self.experiment, list(range(self.number))
+        parameters = {
             "vehicles": self.number,
             "ring": e.ring_m,
             "duration": e.duration_s,
@@ -132,15 +100,16 @@ class FromSimulator:
             "effects": list(self.effects) or [""],
             **self.changes,
         }
-
-    @property
-    def about(self) -> Mapping[str, Any]:
-        """The setting of the experiment."""
-        return {"source": "adaptiveSeek", "sha256": "", **{f"simulator_{k}": v for k, v in self.parameters.items()}}
-
-    def start(self, overrides: list[Parameter]) -> Source:
-        """The simulator."""
-        return SimulatorNode(parameter_overrides=overrides)
+        return RunSource(
+            node="/simulator",
+            vehicles=vehicles,
+            steps=e.samples,
+            period_s=e.period_s,
+            topics=true_topics(vehicles),
+            parameters=parameters,
+            about={"source": "adaptiveSeek", "sha256": "", **{f"simulator_{k}": v for k, v in parameters.items()}},
+            start=lambda overrides: SimulatorNode(parameter_overrides=overrides),
+        )
 
 
 def estimators(spaces: Iterable[str]) -> list[str]:
@@ -188,7 +157,7 @@ class RunSettings:
 class Plan:
     """Send what ``source`` holds, and record everything in ``output``."""
 
-    source: FromFile | FromSimulator
+    source: RunSource
     output: Path
     settings: RunSettings
 
@@ -210,13 +179,12 @@ class Plan:
                 raise InputError(f"--law: the model file {settings.model} says it; leave out --law or --model")
         if settings.save_state is not None:
             make_directory(settings.save_state)
-        opened = FromFile(source, samples_of(source, settings.ring_m)) if isinstance(source, Path) else source
+        opened = from_file(source, settings.ring_m) if isinstance(source, Path) else source.source
         plan = cls(opened, output, settings)
         plan.check_size()
         plan.check_saved_states()
         if settings.resume is not None:
-            vehicles = plan.source.vehicles
-            saved = [path for v in vehicles if (path := file_of(settings.resume, v)).exists()]
+            saved = [path for v in plan.source.vehicles if (path := file_of(settings.resume, v)).exists()]
             if not saved:
                 raise InputError(
                     f"{settings.resume}: nothing is known of these vehicles; give a directory of --save-state"
@@ -228,7 +196,7 @@ class Plan:
     def check_size(self) -> None:
         """Raise InputError for what the graph of a run cannot do."""
         count = len(self.source.vehicles)
-        if not self.source.has_tracks and count > MOST_NODES:
+        if self.source.tracks is None and count > MOST_NODES:
             raise InputError(
                 f"{count} vehicles: a node for each driver works for at most {MOST_NODES}; convert the file to tracks,"
                 " which one node follows: sugiyama convert FILE TRACKS.parquet, or cut out some vehicles"
@@ -237,11 +205,8 @@ class Plan:
     def check_saved_states(self) -> None:
         """Raise OutputError where states of another run would be replaced. A run may go on in its own directory."""
         s = self.settings
-        if (
-            s.save_state is None
-            or s.overwrite
-            or (s.resume is not None and s.resume.resolve() == s.save_state.resolve())
-        ):
+        is_own = s.resume is not None and s.save_state is not None and s.resume.resolve() == s.save_state.resolve()
+        if s.save_state is None or s.overwrite or is_own:
             return
         for vehicle in self.source.vehicles:
             Output(file_of(s.save_state, vehicle)).check()
@@ -249,7 +214,7 @@ class Plan:
     @property
     def vehicles_with_topics(self) -> list[int]:
         """Vehicles that have topics of their own; none where one message holds all drivers."""
-        return [] if self.source.has_tracks or self.settings.array else self.source.vehicles
+        return [] if self.source.tracks is not None or self.settings.array else self.source.vehicles
 
     @property
     def namespaces(self) -> list[str]:
@@ -264,7 +229,7 @@ class Plan:
     @property
     def step_topics(self) -> list[str]:
         """Full names of the topics with one message a step."""
-        if self.source.has_tracks:
+        if self.source.tracks is not None:
             return ["/clock", "/measured", *self.source.topics]
         own = ["/clock", "/measured", f"/{DRIVERS_TOPIC}"] if self.settings.array else step_topics(self.namespaces)
         return [*own, *self.source.topics]
@@ -286,17 +251,14 @@ class Plan:
     @property
     def followers(self) -> list[str]:
         """Full names of the nodes that follow the source; without the recorder."""
-        own = [DRIVERS] if self.source.has_tracks else self.estimators
+        own = [DRIVERS] if self.source.tracks is not None else self.estimators
         return [*own, *([CRITIC] if self.settings.critic else [])]
 
     @property
     def sending(self) -> dict[str, Any]:
         """Parameters of the source."""
-        return {
-            **self.source.parameters,
-            "rate": float(self.settings.rate),
-            "wait_for": [RECORDER, *self.followers],
-        }
+        followers = [RECORDER, *self.followers]
+        return {**self.source.parameters, "rate": float(self.settings.rate), "wait_for": followers}
 
     @property
     def recorder(self) -> dict[str, Any]:

@@ -7,7 +7,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy
 from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 
 from sugiyama_ros.errors import InputError, SugiyamaError
@@ -17,7 +16,7 @@ from sugiyama_ros.formats.mcap_writer import BagWriter, Qos
 from sugiyama_ros.nodes.base import cdr_messages, incoming
 from sugiyama_ros.nodes.base.cdr_messages import NS
 from sugiyama_ros.nodes.base.node import ERROR, OK, RECORDER, UNRECORDED, WARN, Health, PacedNode
-from sugiyama_ros.nodes.base.qos import DEPTH, reliable
+from sugiyama_ros.nodes.base.qos import DEPTH, offered
 from sugiyama_ros.nodes.base.spin import run_node
 from sugiyama_ros.outputs import Output
 
@@ -147,19 +146,16 @@ class Recorder(PacedNode):
 
     def _subscribe(self, topic: str, type_name: str) -> None:
         """Record a topic from now on, if it has a publisher."""
-        offered = [p.qos_profile for p in self.get_publishers_info_by_topic(topic)]
-        if not offered:
+        publishers = self.get_publishers_info_by_topic(topic)
+        if not publishers:
             return
         self._known.add(topic)
-        is_reliable = all(q.reliability == QoSReliabilityPolicy.RELIABLE for q in offered)
-        is_latched = all(q.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for q in offered)
-        reliability = QoSReliabilityPolicy.RELIABLE if is_reliable else QoSReliabilityPolicy.BEST_EFFORT
-        durability = QoSDurabilityPolicy.TRANSIENT_LOCAL if is_latched else QoSDurabilityPolicy.VOLATILE
-        qos = reliable(DEPTH if topic in self._levels.topics else _FROM_ALL, durability)
-        qos.reliability = reliability
+        qos = offered(publishers)
+        qos.depth = DEPTH if topic in self._levels.topics else _FROM_ALL
         try:
             message = message_type(type_name)
-            channel = self._bag.topic(topic, type_name, Qos(reliability.name.lower(), durability.name.lower(), DEPTH))
+            told = Qos(qos.reliability.name.lower(), qos.durability.name.lower(), DEPTH)
+            channel = self._bag.topic(topic, type_name, told)
             stamped = begins_with_stamp(type_name)
         except (ImportError, AttributeError, ValueError, SugiyamaError) as error:
             self.get_logger().warning(f"{topic}: not recorded: {error}")

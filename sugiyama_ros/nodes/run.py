@@ -212,7 +212,7 @@ class OneProcess:
             self._source = plan.source.start(_overrides(plan.sending))
             self._paced.append(self._source)
             feed: RoadFeed | None = None
-            if plan.source.has_tracks:
+            if plan.source.tracks is not None:
                 self._paced.append(DriversNode(parameter_overrides=_overrides(plan.drivers)))
             else:
                 for _, namespace in sorted(zip(plan.source.vehicles, plan.namespaces, strict=True)):
@@ -269,7 +269,7 @@ class Processes:
         self._stopped = False
         self._children: dict[str, subprocess.Popen[bytes]] = {}
         self._start(RECORDER, "recorder", plan.recorder)
-        if plan.source.has_tracks:
+        if plan.source.tracks is not None:
             self._start(DRIVERS, "drivers", plan.drivers)
         else:
             for name in plan.estimators:

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Quaternion, Vector3
-from numpy.typing import NDArray
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
@@ -371,66 +370,36 @@ class Markers:
         box.pose.orientation = Quaternion(z=_REAL["z"], w=_REAL["w"])
         box.scale = Vector3(x=_REAL["length"], y=_WIDTH_M, z=_HEIGHT_M)
         # where a box stands decides how many bytes align its numbers; after two boxes, this begins anew
-        *_, a, b, c = (_bytes_of([*first, *[box] * count]) for count in range(3))
-        self._first = np.frombuffer(a, np.uint8).copy()
-        self._stamps = [_places(a, name) for name in ("sec", "nanosec")]
-        self._boxes = [_Box(b[len(a) :]), _Box(c[len(b) :])]
+        none, one, two = (_bytes_of([*first, *[box] * count]) for count in range(3))
+        self._before, self._box_bytes = len(first), len(one) - len(none)
+        self._first, self._stamps = np.frombuffer(none, np.uint8), [_places(none, name) for name in ("sec", "nanosec")]
+        pair = two[len(none) :]
+        self._pair = np.frombuffer(pair, np.uint8)
+        fields = [(f"{name}{k}", _DTYPES[name], at) for name in _MARK for k, at in enumerate(_places(pair, name))]
+        names, formats, offsets = zip(*fields, strict=True)
+        self._numbers = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": len(pair)})
 
     def message(self, stamp_ns: int, positions: Positions) -> bytes:
         """Bytes of the message for a sample at a stamp [ns]."""
         position, length = np.array(positions.position_m), np.array(positions.length_m)
         known = np.isfinite(position)
         x, y, heading = _on_the_plane(self._road, position[known])
-        sec, nanosec = divmod(stamp_ns, NS)
-        columns = {
-            "sec": np.full(len(x), sec),
-            "nanosec": np.full(len(x), nanosec),
-            "id": np.array(positions.vehicle)[known],
-            "x": x,
-            "y": y,
-            "z": np.sin(0.5 * heading),
-            "w": np.cos(0.5 * heading),
-            "length": length[known],
-        }
+        stamp = [np.array(number, dtype) for number, dtype in zip(divmod(stamp_ns, NS), ("<i4", "<u4"), strict=True)]
+        count, number = len(x), np.array(positions.vehicle)[known]
+        values = np.full(count, stamp[0]), np.full(count, stamp[1]), number, x, y, np.sin(0.5 * heading)
+        columns = dict(zip(_MARK, (*values, np.cos(0.5 * heading), length[known]), strict=True))
         first = self._first.copy()
-        first[_COUNT_AT:_FIRST_AT] = np.frombuffer(np.uint32(self._markers_before + len(x)).tobytes(), np.uint8)
-        for places, number in zip(self._stamps, (np.int32(sec), np.uint32(nanosec)), strict=True):
+        first[_COUNT_AT:_FIRST_AT] = np.frombuffer(np.uint32(self._before + count).tobytes(), np.uint8)
+        for places, one in zip(self._stamps, stamp, strict=True):
             for at in places:
-                first[at : at + 4] = np.frombuffer(number.tobytes(), np.uint8)
-        even, odd = (
-            box.filled({name: column[k::2] for name, column in columns.items()}) for k, box in enumerate(self._boxes)
-        )
-        pairs = np.hstack([even[: len(odd)], odd]).ravel()
-        return bytes(np.concatenate([first, pairs, even[len(odd) :].ravel()]))
-
-    @property
-    def _markers_before(self) -> int:
-        return 2 if self._road.is_ring else 1
-
-
-class _Box:
-    """The bytes of a box, with the places of its numbers."""
-
-    def __init__(self, template: bytes) -> None:
-        offsets = {name: _places(template, name)[0] for name in _MARK}
-        self._dtype = np.dtype(
-            {
-                "names": list(_MARK),
-                "formats": [_DTYPES[name] for name in _MARK],
-                "offsets": [offsets[name] for name in _MARK],
-                "itemsize": len(template),
-            }
-        )
-        self._template = np.frombuffer(template, np.uint8)
-
-    def filled(self, columns: dict[str, Array]) -> NDArray[np.uint8]:
-        """Bytes (N, B) of N boxes with the numbers of ``columns``."""
-        count = len(columns["x"])
-        filled = np.tile(self._template, (count, 1))
-        boxes = filled.view(self._dtype)[:, 0] if count else np.empty(0, self._dtype)
+                first[at : at + 4] = np.frombuffer(one.tobytes(), np.uint8)
+        boxes = np.tile(self._pair, ((count + 1) // 2, 1))
+        filled = boxes.view(self._numbers)[:, 0] if count else np.empty(0, self._numbers)
         for name, column in columns.items():
-            boxes[name] = column
-        return filled
+            for k in range(2):
+                filled[f"{name}{k}"][: len(column[k::2])] = column[k::2]
+        last = count // 2 * len(self._pair) + count % 2 * self._box_bytes
+        return bytes(np.concatenate([first, boxes.ravel()[:last]]))
 
 
 def _bytes_of(markers: list[Marker]) -> bytes:

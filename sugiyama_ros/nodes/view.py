@@ -3,9 +3,9 @@
 import math
 import time
 from collections import OrderedDict, deque
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
@@ -339,11 +339,19 @@ class View(Node):
 
     def _on_drivers(self, message: DriverArray) -> None:
         self._are_together = True
-        for told in _each_driver(message):
-            if told.adapted is not None:
-                self._learn(told.state[0], told.state[1], told.adapted)
-            self._take_state(*told.state)
-            self._take_innovation(*told.innovation)
+        time_s, count, names = _seconds(message), len(message.vehicle), list(message.name)
+        speed_var = np.array(message.state_covariance).reshape(count, _STATE, _STATE)[:, _SPEED, _SPEED].tolist()
+        value = np.array(message.value).reshape(count, len(names))
+        learnt = [name for name, estimated in zip(names, message.estimated, strict=True) if estimated]
+        var = np.array(message.parameter_covariance).reshape(count, len(learnt), len(learnt))
+        for k, v in enumerate(map(int, message.vehicle)):
+            if set(_WORDS) <= set(learnt):
+                mean = value[k, [names.index(name) for name in _WORDS]].tolist()
+                std = np.sqrt(np.maximum(np.diag(var[k])[[learnt.index(name) for name in _WORDS]], 0.0)).tolist()
+                self._learn(time_s, v, (mean[0], std[0], mean[1], std[1]))
+            self._take_state(time_s, v, message.position_m[k], message.speed[k], speed_var[k])
+            innovation = message.innovation_m[k], message.innovation_var[k], message.scored[k]
+            self._take_innovation(time_s, v, *innovation)
 
     def _on_state(self, m: VehicleState) -> None:
         self._take_state(_seconds(m), m.vehicle, m.position_m, m.speed, float(m.covariance[4]))
@@ -445,39 +453,6 @@ class BaseModel:
             if found.scored:
                 errors.append(float(found.innovation_m))
         return errors
-
-
-class _Told(NamedTuple):
-    """What is shown of one driver after a sample.
-
-    state: time [s], vehicle, position [m], speed [m/s] and its variance; innovation: time [s], vehicle, innovation [m],
-    its variance, and whether it is scored; adapted: v* [m/s], its std, kappa_v [s], its std; None if not known.
-    """
-
-    state: tuple[float, int, float, float, float]
-    innovation: tuple[float, int, float, float, bool]
-    adapted: tuple[float, float, float, float] | None
-
-
-def _each_driver(message: DriverArray) -> Iterator[_Told]:
-    """Yield what a message says of each driver."""
-    time_s, count, names = _seconds(message), len(message.vehicle), list(message.name)
-    speed_var = np.array(message.state_covariance).reshape(count, _STATE, _STATE)[:, _SPEED, _SPEED].tolist()
-    value = np.array(message.value).reshape(count, len(names))
-    learnt = [name for name, estimated in zip(names, message.estimated, strict=True) if estimated]
-    var = np.array(message.parameter_covariance).reshape(count, len(learnt), len(learnt))
-    adapted: list[tuple[float, float, float, float] | None] = [None] * count
-    if set(_WORDS) <= set(learnt):
-        mean = value[:, [names.index(name) for name in _WORDS]]
-        std = np.sqrt(np.maximum([np.diag(one)[[learnt.index(name) for name in _WORDS]] for one in var], 0.0))
-        adapted = [(m[0], s[0], m[1], s[1]) for m, s in zip(mean.tolist(), std.tolist(), strict=True)]
-    for k, vehicle in enumerate(message.vehicle):
-        of_innovation = message.innovation_m[k], message.innovation_var[k], message.scored[k]
-        yield _Told(
-            (time_s, int(vehicle), message.position_m[k], message.speed[k], speed_var[k]),
-            (time_s, int(vehicle), *of_innovation),
-            adapted[k],
-        )
 
 
 def can_be_added(extent: RecordingExtent) -> dict[str, str]:

@@ -167,7 +167,7 @@ def test_parameters_are_written(stamp_ns: int, count: int) -> None:
     value, covariance = rng.normal(size=count), rng.normal(size=(count, count))
     identified = np.arange(count) % 3 == 0
     names = [f"a_name_{k}" for k in range(count)]
-    writer = cdr_messages.Parameters(7, names, names[2:4])
+    writer = cdr_messages.ParametersWriter(7, names, names[2:4])
     for _ in range(2):
         message = deserialize_message(writer.message(stamp_ns, value, covariance, identified), DriverParameters)
     assert message.header.stamp.sec * cdr_messages.NS + message.header.stamp.nanosec == stamp_ns

@@ -6,7 +6,7 @@ functions here read and write the same bytes as rclpy does; a test compares them
 
 import struct
 from array import array
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -28,7 +28,6 @@ _HEAD = "<4s i I I 5s 3x i"
 _ENCAPSULATION = b"\0\1\0\0"
 _FRAME_BYTES = FRAME.encode() + b"\0"
 _CLOCK = struct.Struct("<4s i I")
-_MARK = 1.2345678901234567e-300
 # types of the sequences of MeasuredPositions that may be empty or absent
 _OPTIONAL = ("<i4", "<f8", "<f8", "<f8")
 # the covariance as the bytes of its nine numbers
@@ -152,29 +151,50 @@ def read_innovations(messages: Iterable[bytes]) -> NDArray[np.void]:
     return found[is_known]
 
 
-class Parameters:
-    """DriverParameters messages of one driver; the bytes are made once and filled with new numbers each time."""
+class _Template:
+    """The bytes of a message, made once; lists of numbers are filled in each time."""
 
-    def __init__(self, vehicle: int, names: Sequence[str], adapted: Sequence[str]) -> None:
-        count = len(names)
-        message = DriverParameters(vehicle=vehicle, name=names, estimated=[name in adapted for name in names])
+    def __init__(self, message: Any, sizes: Mapping[str, int]) -> None:
+        """sizes: number of entries of each list of numbers."""
         message.header.frame_id = FRAME
         # special values, which nothing else in the message has, show where the numbers stand
-        message.value, message.covariance = array("d", [_MARK] * count), array("d", [2.0 * _MARK] * count * count)
-        message.identified = [False] * count
-        self._bytes = bytearray(serialize_message(message))
-        self._value_at = self._bytes.index(struct.pack("<d", _MARK))
-        self._covariance_at = self._bytes.index(struct.pack("<d", 2.0 * _MARK))
-        # after the covariance comes the number of the last field's entries, a byte each
-        self._identified_at = self._covariance_at + 8 * count * count + 4
+        marks = {name: float(k) * 1.2345678901234567e-300 for k, name in enumerate(sizes, 1)}
+        for name, size in sizes.items():
+            setattr(message, name, array("d", [marks[name]] * size))
+        self.bytes = bytearray(serialize_message(message))
+        self._at = {name: self.bytes.find(struct.pack("<d", mark)) for name, mark in marks.items()}
+        # flags that follow a list have their number of entries and then a byte for each of them
+        self._behind = {name: self._at[name] + 8 * size + 4 for name, size in sizes.items()}
+
+    def stamp(self, stamp_ns: int) -> None:
+        """Fill in the stamp [ns]."""
+        struct.pack_into("<iI", self.bytes, 4, *divmod(stamp_ns, NS))
+
+    def put(self, name: str, content: bytes) -> None:
+        """Fill in a list of numbers."""
+        self.bytes[self._at[name] : self._at[name] + len(content)] = content
+
+    def put_behind(self, name: str, flags: bytes) -> None:
+        """Fill in the flags that follow a list."""
+        self.bytes[self._behind[name] : self._behind[name] + len(flags)] = flags
+
+
+class ParametersWriter:
+    """DriverParameters messages of one driver."""
+
+    def __init__(self, vehicle: int, names: Sequence[str], adapted: Sequence[str]) -> None:
+        count, estimated = len(names), [name in adapted for name in names]
+        message = DriverParameters(vehicle=vehicle, name=names, estimated=estimated, identified=[False] * count)
+        self._template = _Template(message, {"value": count, "covariance": count * count})
 
     def message(self, stamp_ns: int, value: Array, covariance: Array, identified: Mask) -> bytes:
         """Bytes of a message with ``value`` (P,), ``covariance`` (P, P) and ``identified`` (P,)."""
-        struct.pack_into("<iI", self._bytes, 4, *divmod(stamp_ns, NS))
-        filled = (self._value_at, value), (self._covariance_at, covariance), (self._identified_at, identified)
-        for at, numbers in filled:
-            self._bytes[at : at + numbers.nbytes] = numbers.tobytes()
-        return bytes(self._bytes)
+        template = self._template
+        template.stamp(stamp_ns)
+        template.put("value", value.tobytes())
+        template.put("covariance", covariance.tobytes())
+        template.put_behind("covariance", identified.tobytes())
+        return bytes(template.bytes)
 
 
 class ParameterNames(NamedTuple):
@@ -201,11 +221,7 @@ class KnownDriver(NamedTuple):
 
 
 class ArrayWriter:
-    """DriverArray messages of the same drivers; the bytes are made once and filled with new numbers each time.
-
-    drivers: the drivers, in the order in which every message has them; at least one; they may have different
-    parameters.
-    """
+    """DriverArray messages of the same drivers, at least one, in this order; they may have different parameters."""
 
     def __init__(self, drivers: Sequence[KnownDriver]) -> None:
         self._of = [(driver.vehicle, driver.names) for driver in drivers]
@@ -218,27 +234,11 @@ class ArrayWriter:
         at = [selection([adapted.index(name) for name in driver.names.adapted]) for driver in drivers]
         self._adapted = [(k, (k, k) if isinstance(k, slice) else np.ix_(k, k)) for k in at]
         self._numbers = struct.Struct(f"<{count}d")
-        self._lay_out(shown, adapted)
-
-    def _lay_out(self, shown: list[str], adapted: list[str]) -> None:
-        """Make the bytes, and find where the numbers stand in them."""
-        count = len(self._of)
         message = DriverArray(vehicle=[vehicle for vehicle, _ in self._of], name=shown)
-        message.header.frame_id = FRAME
         message.estimated = [name in adapted for name in shown]
         message.scored, message.identified = [False] * count, [False] * self._identified.size
-        sizes = dict.fromkeys(_NUMBERS, count)
-        sizes |= {"state_covariance": 9 * count, "value": self._value.size}
-        sizes["parameter_covariance"] = self._covariance.size
-        # special values, which nothing else in the message has, show where the numbers stand
-        marks = {name: float(k) * 1.2345678901234567e-300 for k, name in enumerate(sizes, 1)}
-        for name, size in sizes.items():
-            setattr(message, name, array("d", [marks[name]] * size))
-        self._bytes = bytearray(serialize_message(message))
-        self._at = {name: self._bytes.find(struct.pack("<d", mark)) for name, mark in marks.items()}
-        # a sequence of flags has its number of entries and then a byte for each of them
-        self._scored_at = self._at["log_likelihood"] + 8 * count + 4
-        self._identified_at = self._at["parameter_covariance"] + 8 * self._covariance.size + 4
+        sizes = dict.fromkeys(_NUMBERS, count) | {"state_covariance": 9 * count, "value": self._value.size}
+        self._template = _Template(message, sizes | {"parameter_covariance": self._covariance.size})
 
     def fits(self, drivers: Sequence[KnownDriver]) -> bool:
         """Whether the drivers are the ones of this layout, with the same parameters."""
@@ -246,30 +246,26 @@ class ArrayWriter:
 
     def message(self, stamp_ns: int, drivers: Sequence[KnownDriver]) -> bytes:
         """Bytes of the message about drivers that fit, at a stamp [ns]."""
-        struct.pack_into("<iI", self._bytes, 4, *divmod(stamp_ns, NS))
+        template = self._template
+        template.stamp(stamp_ns)
         columns = dict(zip(Estimate._fields, zip(*(driver.estimate for driver in drivers), strict=True), strict=True))
         for name in _NUMBERS:
-            if name in SEVEN_DIGITS:
-                self._put(self._at[name], _with_seven_digits(columns[name]))
-            else:
-                self._numbers.pack_into(self._bytes, self._at[name], *columns[name])
-        self._put(self._at["state_covariance"], _with_seven_digits(columns["covariance"]))
-        self._put(self._scored_at, bytes(columns["scored"]))
+            numbers = columns[name]
+            template.put(name, _seven_digits(numbers) if name in SEVEN_DIGITS else self._numbers.pack(*numbers))
+        template.put("state_covariance", _seven_digits(columns["covariance"]))
+        template.put_behind("log_likelihood", bytes(columns["scored"]))
         for k, driver in enumerate(drivers):
             places, block = self._adapted[k]
             self._value[k, self._shown[k]] = driver.value
             self._covariance[k][block] = driver.covariance
             self._identified[k, places] = driver.identified
-        self._put(self._at["value"], self._value.tobytes())
-        self._put(self._at["parameter_covariance"], _with_seven_digits(self._covariance))
-        self._put(self._identified_at, self._identified.tobytes())
-        return bytes(self._bytes)
-
-    def _put(self, at: int, content: bytes) -> None:
-        self._bytes[at : at + len(content)] = content
+        template.put("value", self._value.tobytes())
+        template.put("parameter_covariance", _seven_digits(self._covariance))
+        template.put_behind("parameter_covariance", self._identified.tobytes())
+        return bytes(template.bytes)
 
 
-def _with_seven_digits(numbers: ArrayLike) -> bytes:
+def _seven_digits(numbers: ArrayLike) -> bytes:
     """Bytes of numbers as float64 whose digits beyond those of a float32 are 0, which compress well."""
     with np.errstate(over="ignore"):
         return np.asarray(numbers, dtype=np.float32).astype(np.float64).tobytes()
