@@ -70,7 +70,8 @@ class FollowingNode(PacedNode):
         self._standard = StandardTopics(self)
         self._road: RoadMessage | None = None
         self._arrivals: Arrivals | None = None
-        self._drivers: dict[int, FollowedDriver] = {}
+        #: The drivers who have a filter now, by the numbers of their vehicles.
+        self.drivers: dict[int, FollowedDriver] = {}
         #: What was learnt of drivers before, by the numbers of their vehicles.
         self.known: dict[int, Kept] = {}
         self._counts = new_counts()
@@ -106,7 +107,7 @@ class FollowingNode(PacedNode):
         arrival = arrivals.judge(sample)
         if arrival is Arrival.JUMPED:
             self._failure = ""
-            for driver in self._drivers.values():
+            for driver in self.drivers.values():
                 driver.follower.restart()
                 driver.topics.restart()
                 driver.seen_ns = _NEVER_NS
@@ -124,7 +125,7 @@ class FollowingNode(PacedNode):
         """Follow one more driver, of whom an earlier run may have learnt something."""
         follower, topics = self._follower_of(vehicle, kept), self.topics_of(vehicle)
         topics.choose_parameters(self._effects, follower.filter)
-        driver = self._drivers[vehicle] = FollowedDriver(follower, topics)
+        driver = self.drivers[vehicle] = FollowedDriver(follower, topics)
         return driver
 
     def follow(self, driver: FollowedDriver, sample: Sample, late: bool) -> None:
@@ -163,7 +164,7 @@ class FollowingNode(PacedNode):
             return
         self._lane = Road(self._road.circumference_m)
         self._arrivals = Arrivals(self._road.period_s, self._window_s, self._counts)
-        self._drivers.clear()
+        self.drivers.clear()
         self._failure = ""
 
     def begin_anew(self) -> None:
@@ -222,7 +223,7 @@ class FollowingNode(PacedNode):
 
     def _take_effects(self, effects: Array) -> None:
         """Go on with other effects (WIDTH,), and keep what was learnt about the drivers."""
-        for driver in self._drivers.values():
+        for driver in self.drivers.values():
             driver.follower.change(effects)
             driver.topics.choose_parameters(effects, driver.follower.filter)
         self._effects = effects
@@ -293,11 +294,6 @@ class DriversNode(LifecycleNodeMixin, FollowingNode):
         self._retire()
         return TransitionCallbackReturn.SUCCESS
 
-    @property
-    def in_view(self) -> tuple[int, ...]:
-        """Numbers of the vehicles whose drivers have a filter now."""
-        return tuple(self._drivers)
-
     def health(self) -> Health:
         """ERROR after a failure of a filter, WARN without a road, or with more drivers in view than are followed."""
         if self._failure:
@@ -308,11 +304,11 @@ class DriversNode(LifecycleNodeMixin, FollowingNode):
             return Health(WARN, f"waiting for a road on {self.resolve_topic_name('road')}", self._counts)
         if self._arrivals.stamp_ns is None:
             return Health(WARN, f"nothing heard on {self.resolve_topic_name('measured')} yet", self._counts)
-        values = {**self._counts, **self._arrivals.rhythm, **self._visits, "drivers": len(self._drivers)}
+        values = {**self._counts, **self._arrivals.rhythm, **self._visits, "drivers": len(self.drivers)}
         if self._left_out:
             most = f"{len(self._left_out)} vehicles are not followed: there are more than most_drivers, {self._most}"
             return Health(WARN, most, values)
-        return Health(OK, f"following {len(self._drivers)} drivers", values)
+        return Health(OK, f"following {len(self.drivers)} drivers", values)
 
     def take_in(self, sample: Sample) -> None:
         """Do with a sample what its stamp asks for, if the node is active."""
@@ -342,10 +338,10 @@ class DriversNode(LifecycleNodeMixin, FollowingNode):
         """Take in a sample, and publish what follows from it about each of its vehicles."""
         self._left_out.clear()
         for vehicle in sample.place:
-            driver = self._drivers.get(vehicle)
+            driver = self.drivers.get(vehicle)
             if driver is None and late:
                 continue
-            if driver is None and len(self._drivers) >= self._most:
+            if driver is None and len(self.drivers) >= self._most:
                 self._left_out.add(vehicle)
                 continue
             self.follow(driver or self._come(vehicle), sample, late)
@@ -369,8 +365,8 @@ class DriversNode(LifecycleNodeMixin, FollowingNode):
 
     def _retire(self, before_ns: int | None = None) -> None:
         """Retire drivers who were last seen before a stamp [ns], or all drivers, and keep what was learnt of them."""
-        for vehicle in [v for v, one in self._drivers.items() if before_ns is None or one.seen_ns < before_ns]:
-            driver = self._drivers.pop(vehicle)
+        for vehicle in [v for v, one in self.drivers.items() if before_ns is None or one.seen_ns < before_ns]:
+            driver = self.drivers.pop(vehicle)
             driver.topics.close()
             self._standard.retire(vehicle, self.space_of(vehicle))
             self._visits["retired"] += 1

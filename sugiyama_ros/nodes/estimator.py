@@ -6,7 +6,6 @@ from typing import Any
 from sugiyama_msgs.msg import DriverParameters
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.filters.online import OnlineFilter
 from sugiyama_ros.nodes.base.cdr_messages import NS
 from sugiyama_ros.nodes.base.feed import RoadFeed
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health
@@ -63,12 +62,7 @@ class Estimator(FollowingNode):
     @property
     def follower(self) -> Follower | None:
         """What follows the driver; None before the road is known."""
-        return self._drivers[self.vehicle].follower if self.vehicle in self._drivers else None
-
-    @property
-    def filter(self) -> OnlineFilter | None:
-        """The driver's filter; None before the road is known."""
-        return self.follower.filter if self.follower is not None else None
+        return self.drivers[self.vehicle].follower if self.vehicle in self.drivers else None
 
     def health(self) -> Health:
         """ERROR after a failure of the filter, WARN without a road or a position."""
@@ -104,7 +98,7 @@ class Estimator(FollowingNode):
     def follow_all(self, sample: Sample, late: bool) -> None:
         """Take in a sample, and save now and then what was learnt."""
         assert self.vehicle is not None
-        driver = self._drivers[self.vehicle]
+        driver = self.drivers[self.vehicle]
         self.follow(driver, sample, late)
         if self._saved_ns is None:
             self._saved_ns = sample.stamp_ns

@@ -104,9 +104,8 @@ class _Monitor(Node):
         self.heard = 0
         self.joined_s = self.moved_s = time.monotonic()
         self.last: dict[str, Progress] = {}
-        on_progress = incoming.receiver(
-            Progress, self._on_progress
-        )  # what is no Progress comes from no node of this run
+        # what is no Progress comes from no node of this run
+        on_progress = incoming.receiver(Progress, self._on_progress)
         self.create_subscription(Progress, "/_progress", on_progress, PROGRESS_IN, raw=True)
 
     @property

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass
 from math import pi
 from typing import Any
 
@@ -64,14 +63,9 @@ class Source(PacedNode):
 
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
-        self.declare_parameter(
-            "rate",
-            1.0,
-            ParameterDescriptor(
-                description="times real time; 0: as fast as the subscribers take it",
-                floating_point_range=[FloatingPointRange(from_value=0.0, to_value=1e6)],
-            ),
-        )
+        about = ParameterDescriptor(description="times real time; 0: as fast as the subscribers take it")
+        about.floating_point_range = [FloatingPointRange(from_value=0.0, to_value=1e6)]
+        self.declare_parameter("rate", 1.0, about)
         awaited = self.texts("wait_for", "full names of the nodes to wait for before the first step")
         self._paused = self.option("start_paused", False, "wait for ~/resume or ~/step")
         self._exits_at_end = self.option("exit_at_end", False, "end when the last sample has been taken")
@@ -196,13 +190,8 @@ class Source(PacedNode):
 
     def _send_road(self) -> None:
         s = self.samples
-        message = RoadMessage(
-            circumference_m=s.road.circumference_m,
-            period_s=s.period_s,
-            steps=s.steps,
-            source=s.source,
-            sha256=s.sha256,
-        )
+        message = RoadMessage(circumference_m=s.road.circumference_m, period_s=s.period_s, steps=s.steps)
+        message.source, message.sha256 = s.source, s.sha256
         message.header.stamp, message.header.frame_id = time_message(round(s.start_s * NS)), FRAME
         self.send(self._to_road, message)
 
@@ -255,12 +244,6 @@ def answer(response: Any, why_not: str = "") -> Any:
     return response
 
 
-@dataclass
-class _Subscriber:
-    steps: int
-    heard_s: float
-
-
 class Pace:
     """How far a source may go: at most ``window`` steps beyond the slowest subscriber.
 
@@ -274,7 +257,9 @@ class Pace:
         self.dropped: set[str] = set()
         self.window = window
         self._patience_s = patience_s
-        self._subscribers: dict[str, _Subscriber] = {}
+        # of each subscriber: steps taken, and the time [s] of the last report
+        self._steps: dict[str, int] = {}
+        self._heard_s: dict[str, float] = {}
         self._first = 0
         self._next = 0
         self.acknowledged = 0
@@ -298,33 +283,32 @@ class Pace:
         """Subscriber ``name`` has taken all steps before number ``steps``."""
         self.missing.discard(name)
         self.dropped.discard(name)
-        known = self._subscribers.setdefault(name, _Subscriber(self._first, now_s))
-        known.heard_s = now_s
+        known = self._steps.setdefault(name, self._first)
+        self._heard_s[name] = now_s
         # Any other number is from before the last restart. An old number that happens to fit lets the source run at
         # most one window too far, because all steps had been taken at the restart.
-        if known.steps < steps <= self._next:
-            known.steps = steps
+        if known < steps <= self._next:
+            self._steps[name] = steps
         self._update()
 
     def restart(self, step: int) -> None:
         """Go on with step number ``step``. Everything sent before must have been acknowledged."""
         self._first = self._next = step
-        for subscriber in self._subscribers.values():
-            subscriber.steps = step
+        self._steps = dict.fromkeys(self._steps, step)
         self._update()
 
     def drop_silent(self, now_s: float) -> list[str]:
         """Drop the subscribers that have been silent for too long; returns their names."""
-        silent = [n for n, s in self._subscribers.items() if now_s - s.heard_s > self._patience_s]
+        silent = [name for name, heard_s in self._heard_s.items() if now_s - heard_s > self._patience_s]
         for name in silent:
-            del self._subscribers[name]
+            del self._steps[name], self._heard_s[name]
         if silent:
             self.dropped.update(silent)
             self._update()
         return silent
 
     def _update(self) -> None:
-        self.acknowledged = min((s.steps for s in self._subscribers.values()), default=self._next)
+        self.acknowledged = min(self._steps.values(), default=self._next)
 
 
 class TrueTopics:

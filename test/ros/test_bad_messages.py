@@ -178,7 +178,7 @@ def test_nodes_go_on_after_bad_messages(stage: Any, tmp_path: Path) -> None:
         road.publish(raw)
         stage.until(lambda number=number: estimator.refused >= number and critic.refused >= number)
     road.publish(road_of())
-    stage.until(lambda: estimator.filter is not None)
+    stage.until(lambda: estimator.follower is not None)
     for step in range(20):
         measured.publish(sample_of(step))
     stage.until(lambda: len(states) == 20)
@@ -284,8 +284,8 @@ def test_a_filter_that_diverges_starts_anew_and_tells(stage: Any) -> None:
     assert stage.call(AddEffect, "/vehicle_00/estimator/add_effect", request).success
     for step in range(40):
         estimator.take_in(incoming.sample(sample_of(step)))
-        assert estimator.filter is not None
-        assert np.isfinite(estimator.filter.learnt.mean).all()
+        assert estimator.follower is not None
+        assert np.isfinite(estimator.follower.filter.learnt.mean).all()
     assert estimator.health().level == DiagnosticStatus.ERROR
     assert "diverged" in estimator.health().message
     assert estimator.steps == 40

@@ -108,7 +108,7 @@ def test_a_hidden_delay_is_named_added_and_the_error_falls(stage, delayed, tmp_p
 
     request = AddEffect.Request(effect="reaction_delay", name=["delay"], value=[DELAY_S])
     assert stage.call(AddEffect, "/critic/add_effect", request).success
-    stage.until(lambda: all(active(e.filter.parameters) for e in estimators))
+    stage.until(lambda: all(active(e.follower.filter.parameters) for e in estimators))
     stage.until(lambda: not list(critic.clients))
     assert stage.call(Seek, "/replay/seek", Seek.Request(time_s=0.0)).success
     stage.until(lambda: ears.pass_done(samples), 100.0)
@@ -156,10 +156,10 @@ def test_nothing_waits_for_estimators_that_are_not_there(stage, delayed, tmp_pat
     stage.add(replay, critic, estimator)
     stage.until(lambda: critic.health().message.startswith("nothing heard"))
     assert stage.call(Trigger, "/replay/step", Trigger.Request()).success
-    stage.until(lambda: critic.health().message.startswith("comparing") and estimator.filter is not None)
+    stage.until(lambda: critic.health().message.startswith("comparing") and estimator.follower is not None)
     request = AddEffect.Request(effect="drag", name=["c0"], value=[0.1])
     refused = stage.call(AddEffect, "/critic/add_effect", request)
     assert not refused.success
     missing = ", ".join(f"/vehicle_{v:02}/estimator/add_effect" for v in (0, 1, 2))
     assert refused.message == f"1 of 10 estimators answer; missing: {missing} ..."
-    stage.until(lambda: active(estimator.filter.parameters) == ("drag",))
+    stage.until(lambda: active(estimator.follower.filter.parameters) == ("drag",))

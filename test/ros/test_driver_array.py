@@ -181,7 +181,7 @@ def test_an_estimator_of_its_own_process_sends_an_array_of_one_driver(stage) -> 
     hand, driver = Hand(), Estimator(namespace="/vehicle_02", parameter_overrides=[IN_ARRAY])
     stage.add(hand, driver)
     hand.send_road()
-    stage.until(lambda: hand.count_subscribers("measured") == 1 and driver.filter is not None)
+    stage.until(lambda: hand.count_subscribers("measured") == 1 and driver.follower is not None)
     hand.drive(*range(5))
     stage.until(lambda: len(hand.arrays) == 5)
     assert [a.vehicle.tolist() for a in hand.arrays] == [[2]] * 5
