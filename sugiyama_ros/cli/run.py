@@ -41,8 +41,8 @@ from sugiyama_ros.nodes.executables import ros_needed
 from sugiyama_ros.tables import TextTable
 
 if TYPE_CHECKING:
+    from sugiyama_ros.nodes.plan import FromSimulator
     from sugiyama_ros.nodes.run import RunResult
-    from sugiyama_ros.nodes.run_source import FromSimulator
 
 #: Exit code of a program that Ctrl-C has ended.
 INTERRUPTED = 130
@@ -146,7 +146,7 @@ def replay(options: RunOptions) -> "RunResult":
 def _source(options: RunOptions) -> "Path | FromSimulator":
     """The file to replay, or the drivers to simulate. Raises InputError where the options do not say which."""
     from sugiyama_ros.effects.texts import read_parameter
-    from sugiyama_ros.nodes.run_source import FromSimulator
+    from sugiyama_ros.nodes.plan import FromSimulator
     from sugiyama_ros.simulation.experiment import Experiment
 
     asked = {

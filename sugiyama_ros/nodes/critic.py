@@ -2,10 +2,10 @@
 
 from collections.abc import Mapping
 from functools import partial
+from math import isfinite
 from typing import Any
 
 import numpy as np
-from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.client import Client
 from rclpy.subscription import Subscription
 from sugiyama_msgs.msg import DriverArray, DriverParameters, Verdict
@@ -21,23 +21,22 @@ from sugiyama_ros.filters.chain import CHAIN
 from sugiyama_ros.filters.online import warm_up
 from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.formats.truth import namespaces
-from sugiyama_ros.nodes.base import cdr_messages, incoming
-from sugiyama_ros.nodes.base.measured_feed import MeasuredFeed, subscribe_measured
-from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
-from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
-from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER
-from sugiyama_ros.nodes.base.sight import sight
+from sugiyama_ros.nodes.base import incoming
+from sugiyama_ros.nodes.base.cdr_messages import NS, time_message
+from sugiyama_ros.nodes.base.feed import DRIVERS_TOPIC, RoadFeed
+from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode, clients_of
+from sugiyama_ros.nodes.base.parameters import check_driver, declare_driver, driver_of
+from sugiyama_ros.nodes.base.qos import STREAM
+from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER, Sample
 from sugiyama_ros.nodes.base.spin import run_node
-from sugiyama_ros.nodes.driver_array import TOPIC
-from sugiyama_ros.nodes.driver_parameters import check_driver, declare_driver
-from sugiyama_ros.nodes.effect_services import clients_of
 from sugiyama_ros.nodes.plan import DRIVERS, estimators
-from sugiyama_ros.nodes.told import effects_of
 from sugiyama_ros.road import Road
 
-_VERDICT_EVERY_NS = 5 * cdr_messages.NS
+_VERDICT_EVERY_NS = 5 * NS
 # Time after the last sight of a vehicle at which its filters are dropped.
-_GONE_NS = 5 * cdr_messages.NS
+_GONE_NS = 5 * NS
+# Time [s] after which a sample counts less by a factor of e.
+_FORGET_S = 120.0
 # Estimators that an answer names, at most.
 _NAMED = 3
 
@@ -48,20 +47,16 @@ class Critic(PacedNode):
     A jump back in time starts the bank anew, and so does an effect that the estimators of all drivers get or lose: the
     bank looks for what is missing beyond them. Vehicles may come and go. While nobody knows whom a driver follows, the
     driver is not followed: what they do then tells nothing of a model. Parameters of the node: the parameters of a
-    driver, from which every model of the bank starts, and ``forget_s``.
+    driver, from which every model of the bank starts.
 
-    feed: where the samples come from, if several nodes of the process share one subscription; **options: options of the
-    ROS node.
+    feed: where the samples come from, if several nodes of the process share one.
     """
 
-    def __init__(self, feed: MeasuredFeed | None = None, **options: Any) -> None:
+    def __init__(self, feed: RoadFeed | None = None, **options: Any) -> None:
         super().__init__("critic", **options)
         warm_up()
         declare_driver(self, population())
         check_driver(self)
-        self._forget_s = float(
-            self.declare_parameter("forget_s", 120.0, ParameterDescriptor(description="memory of the scores [s]")).value
-        )
         self._road: RoadMessage | None = None
         self._bank: Bank | None = None
         self._chains: dict[int, list[int]] = {}
@@ -75,9 +70,8 @@ class Critic(PacedNode):
         self._failure = ""
         self._to_verdict = self.create_publisher(Verdict, "verdict", STREAM)
         self.create_service(AddEffect, "~/add_effect", self._on_add_effect)
-        self.hear(RoadMessage, self.shared("road"), incoming.road, self._on_road, LATCHED)
-        self.listen(DriverArray, self.shared(TOPIC), incoming.drivers, self._on_drivers, STREAM)
-        subscribe_measured(self, self.take_in, feed)
+        self.listen(DriverArray, self.shared(DRIVERS_TOPIC), self._on_drivers, STREAM)
+        (feed or RoadFeed(self)).hand_to(self)
 
     def health(self) -> Health:
         """ERROR after a failure of a filter, WARN without a road."""
@@ -90,30 +84,30 @@ class Critic(PacedNode):
         said = "settled" if self._bank.is_settled else "not settled"
         return Health(OK, f"comparing; {said}", {"samples": self._bank.samples, "added": ", ".join(self._bank.effects)})
 
-    def _on_road(self, road: RoadMessage) -> None:
+    def on_road(self, road: RoadMessage) -> None:
+        """Begin with a road, and anew with each road that comes."""
         self._road, self._bank = road, None
         self.announce()
 
-    def take_in(self, sample: cdr_messages.Sample) -> None:
-        """Take in a sample of the topic ``measured``."""
-        if self._road is None:
-            return
+    def take_in(self, sample: Sample) -> None:
+        """Let all models follow the vehicles of a sample."""
+        assert self._road is not None, "the feed hands samples over once there is a road"
         try:
             self._follow(sample, self._road)
         except Exception as error:
             if not self._failure:
-                self._failure = f"at {sample.stamp_ns / cdr_messages.NS:.3f} s: {error!r}"
+                self._failure = f"at {sample.stamp_ns / NS:.3f} s: {error!r}"
                 self.get_logger().error(self._failure)
         self.taken(sample.step + 1, last=sample.step + 1 == self._road.steps)
         self.report_if_worse()
 
-    def _follow(self, sample: cdr_messages.Sample, road: RoadMessage) -> None:
+    def _follow(self, sample: Sample, road: RoadMessage) -> None:
         jumped = self._stamp_ns is not None and sample.stamp_ns < self._stamp_ns
         if (self._bank is None or jumped) and not sample.place:
             return
         if self._bank is None or jumped:
-            row = self._with_added(np.array([self.get_parameter(name).value for name in NAMES]))
-            self._bank = Bank(road.period_s, Road(road.circumference_m), row, self._forget_s)
+            row = self._with_added(driver_of(self))
+            self._bank = Bank(road.period_s, Road(road.circumference_m), row, _FORGET_S)
             self._chains, self._seen_ns, self._failure = {}, {}, ""
             self._told_ns = sample.stamp_ns
         if self._stamp_ns == sample.stamp_ns:
@@ -122,13 +116,13 @@ class Critic(PacedNode):
         self._bank.forget()
         self._meet_and_leave(sample, self._bank)
         for vehicle, chain in self._chains.items():
-            position, length, behind = sight(sample, vehicle, chain)
-            self._bank.step(vehicle, position, chain, length, sample.stamp_ns / cdr_messages.NS, behind)
+            position, length, behind = sample.sight(vehicle, chain)
+            self._bank.step(vehicle, position, chain, length, sample.stamp_ns / NS, behind)
         if sample.stamp_ns - self._told_ns >= _VERDICT_EVERY_NS or sample.step + 1 == road.steps:
             self._told_ns = sample.stamp_ns
             self._publish(sample, self._bank)
 
-    def _meet_and_leave(self, sample: cdr_messages.Sample, bank: Bank) -> None:
+    def _meet_and_leave(self, sample: Sample, bank: Bank) -> None:
         """Follow the drivers in view of whom it is known whom they follow, and nobody else."""
         for vehicle, place in sample.place.items():
             if sample.leader[place] != UNKNOWN_LEADER:
@@ -147,11 +141,9 @@ class Critic(PacedNode):
 
     def _listen_to(self, vehicle: int) -> None:
         """Listen to which effects the estimator of a driver has, unless one message says it of all drivers."""
-        if vehicle not in self._heard and not self.count_publishers(self.shared(TOPIC)):
+        if vehicle not in self._heard and not self.count_publishers(self.shared(DRIVERS_TOPIC)):
             topic = self.shared(f"{namespaces([vehicle])[0].lstrip('/')}/parameters")
-            self._heard[vehicle] = self.listen(
-                DriverParameters, topic, incoming.parameters, self._on_parameters, STREAM
-            )
+            self._heard[vehicle] = self.listen(DriverParameters, topic, self._on_parameters, STREAM)
 
     def _on_parameters(self, message: DriverParameters) -> None:
         """Note the effects of a driver's model."""
@@ -179,7 +171,7 @@ class Critic(PacedNode):
                 row[ROW.entries.index(name)] = float(np.mean([values[name] for values in known]))
         return row
 
-    def _publish(self, sample: cdr_messages.Sample, bank: Bank) -> None:
+    def _publish(self, sample: Sample, bank: Bank) -> None:
         weights, fitted = bank.weights, bank.fitted
         values = {f"{name}.{p}": value for name, found in fitted.items() for p, value in found.items()}
         message = Verdict(
@@ -194,14 +186,14 @@ class Critic(PacedNode):
             settled=bank.is_settled,
             added=list(bank.effects),
         )
-        message.header.stamp = cdr_messages.time_message(sample.stamp_ns)
+        message.header.stamp = time_message(sample.stamp_ns)
         message.header.frame_id = FRAME
         self.send(self._to_verdict, message)
 
     def _on_add_effect(self, request: AddEffect.Request, response: AddEffect.Response) -> AddEffect.Response:
         """Pass the request on to every running estimator. An estimator that refuses it is logged."""
         try:
-            values = incoming.effect_values(request.effect, request.name, request.value)
+            values = incoming.named_values(f"effect {request.effect}", request.name, request.value)
             switched_on(ROW.with_effects(population()), request.effect, values)
         except (incoming.RefusedError, InputError) as error:
             response.message = str(error)
@@ -225,10 +217,12 @@ class Critic(PacedNode):
             self.get_logger().error(answer.message if answer is not None else str(done.exception()))
 
 
-def main() -> None:
-    """Run one critic."""
-    run_node(Critic)
+def effects_of(message: DriverArray) -> list[dict[str, float]]:
+    """Return the parameters of the effects that the model of each driver has, N mappings from name to value."""
+    value = np.array(message.value).reshape(len(message.vehicle), len(message.name)).tolist()
+    named = [k for k, name in enumerate(message.name) if name not in NAMES]
+    return [{message.name[k]: row[k] for k in named if isfinite(row[k])} for row in value]
 
 
 if __name__ == "__main__":
-    main()
+    run_node(Critic)

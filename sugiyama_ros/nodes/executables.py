@@ -13,8 +13,17 @@ from importlib import import_module
 
 from sugiyama_ros.errors import InputError, SugiyamaError, nowhere_to_compile
 
-#: The nodes. Each is a module of ``sugiyama_ros.nodes`` with a function ``main``.
-NODES = ("critic", "drivers", "estimator", "keeper", "recorder", "replay", "simulator", "tracks")
+#: The nodes: modules of ``sugiyama_ros.nodes``, and the class of each.
+NODES = {
+    "critic": "Critic",
+    "drivers": "DriversNode",
+    "estimator": "Estimator",
+    "keeper": "Keeper",
+    "recorder": "Recorder",
+    "replay": "Replay",
+    "simulator": "SimulatorNode",
+    "tracks": "TracksNode",
+}
 
 
 @contextmanager
@@ -35,8 +44,9 @@ def run(node: str) -> None:
         signal.signal(number, lambda *_: os._exit(0))  # nothing has begun; the node itself handles its signals
     try:
         with ros_needed():
-            main = import_module(f"sugiyama_ros.nodes.{node}").main
-        main()
+            run_node = import_module("sugiyama_ros.nodes.base.spin").run_node
+            make = getattr(import_module(f"sugiyama_ros.nodes.{node}"), NODES[node])
+        run_node(make)
     except Exception as error:
         reason = str(error) if isinstance(error, SugiyamaError) else nowhere_to_compile(error)
         if reason is None:

@@ -14,8 +14,7 @@ from sugiyama_ros.errors import SugiyamaError
 from sugiyama_ros.nodes.base import environment
 from sugiyama_ros.nodes.base.spin import Spinner, ros
 from sugiyama_ros.nodes.plan import Plan, RunSettings
-from sugiyama_ros.nodes.run_source import FromTracks
-from sugiyama_ros.nodes.runners import OneProcess
+from sugiyama_ros.nodes.run import OneProcess
 from sugiyama_ros.nodes.view import View
 from sugiyama_ros.page.guard import Guard, log_quietly
 from sugiyama_ros.page.live import page
@@ -71,7 +70,7 @@ def serve(
 def _plan(source: Path, output: Path, settings: RunSettings) -> Plan:
     """What runs beside the page; without a critic where too many vehicles are in view."""
     plan = Plan.read(source, output, settings)
-    if isinstance(plan.source, FromTracks) and plan.source.samples.drivers_per_s > _CRITIC_AT_MOST:
+    if plan.source.tracks is not None and plan.source.tracks.drivers_per_s > _CRITIC_AT_MOST:
         return replace(plan, settings=replace(settings, critic=False))
     return plan
 

@@ -1,27 +1,115 @@
-"""What a run consists of: its settings, the names of its nodes and topics, the parameters of its nodes."""
+"""What a run consists of: its source and settings, the names of its nodes and topics, the parameters of its nodes."""
 
 import json
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+from rclpy.parameter import Parameter
 
 from sugiyama_ros.driver.parameters import NAMES, population
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.formats.truth import namespaces
 from sugiyama_ros.laws.registry import PAPERS, law
-from sugiyama_ros.nodes.driver_array import TOPIC
-from sugiyama_ros.nodes.driver_parameters import ENGINES, engine_of
-from sugiyama_ros.nodes.replay import samples_of
-from sugiyama_ros.nodes.run_source import FromFile, FromSimulator, FromTracks, RunSource
-from sugiyama_ros.nodes.saved_state import file_of, read_learnt
-from sugiyama_ros.nodes.track_samples import TrackSamples
+from sugiyama_ros.nodes.base.feed import DRIVERS_TOPIC
+from sugiyama_ros.nodes.base.parameters import ENGINES, engine_of
+from sugiyama_ros.nodes.keeper import file_of, read_learnt
+from sugiyama_ros.nodes.replay import Replay, TrackSamples, samples_of
+from sugiyama_ros.nodes.simulator import SimulatorNode
+from sugiyama_ros.nodes.source import Source
 from sugiyama_ros.outputs import Output, make_directory
+from sugiyama_ros.simulation.experiment import Experiment
 
-REPLAY, RECORDER, CRITIC, DRIVERS = FromFile.node, "/recorder", "/critic", "/drivers"
+REPLAY, RECORDER, CRITIC, DRIVERS = "/replay", "/recorder", "/critic", "/drivers"
 #: Vehicles up to which a run makes a node for each driver: 100 of them take half a minute to start, and 600 MB.
 MOST_NODES = 100
+
+
+def true_topics(vehicles: Iterable[int]) -> list[str]:
+    """Full names of the topics with the true motion of simulated vehicles."""
+    return [f"{space}/truth" for space in namespaces(vehicles)]
+
+
+@dataclass(frozen=True, eq=False)
+class RunSource:
+    """Where the positions of a run come from.
+
+    node: full name of the node that sends them; topics: further topics with one message a step; parameters, about: of
+    the node, and what the recording says about the source; start: makes the node, with its parameters; tracks: where
+    the vehicles come and go, so that one node follows all of them.
+    """
+
+    node: str
+    vehicles: list[int]
+    steps: int
+    period_s: float
+    topics: list[str]
+    parameters: Mapping[str, Any]
+    about: Mapping[str, Any]
+    start: Callable[[list[Parameter]], Source]
+    tracks: TrackSamples | None = None
+
+
+def from_file(path: Path, ring_m: float | None) -> RunSource:
+    """A file that is replayed. Raises InputError."""
+    samples = samples_of(path, ring_m)
+    truth = getattr(samples, "truth", None)
+    about = {"source": samples.source, "sha256": samples.sha256}
+    # which vehicle has which number, where the numbers are not the names
+    names = {"vehicle_names": json.dumps(samples.names)} if samples.names else {}
+    return RunSource(
+        node=REPLAY,
+        vehicles=samples.vehicle,
+        steps=samples.steps,
+        period_s=samples.period_s,
+        topics=true_topics(truth.vehicle.tolist()) if truth is not None else [],
+        parameters={"source": str(path), "ring": samples.road.circumference_m},
+        about=about | names,
+        start=lambda overrides: Replay(samples, parameter_overrides=overrides),
+        tracks=samples if isinstance(samples, TrackSamples) else None,
+    )
+
+
+@dataclass(frozen=True)
+class FromSimulator:
+    """``number`` drivers in an experiment: their model file, changed parameters, and effects as text."""
+
+    number: int
+    experiment: Experiment
+    model: Path | None = None
+    changes: Mapping[str, float] = field(default_factory=dict)
+    effects: tuple[str, ...] = ()
+
+    @property
+    def source(self) -> RunSource:
+        """The simulator, as the source of a run."""
+        e, vehicles = self.experiment, list(range(self.number))
+        parameters = {
+            "vehicles": self.number,
+            "ring": e.ring_m,
+            "duration": e.duration_s,
+            "start": e.start,
+            "start_gap": e.gap_m,
+            "lengths": list(e.length_m) or [0.0],
+            "period": e.period_s,
+            "spread": e.spread,
+            "seed": e.seed,
+            "model": str(self.model or ""),
+            "effects": list(self.effects) or [""],
+            **self.changes,
+        }
+        return RunSource(
+            node="/simulator",
+            vehicles=vehicles,
+            steps=e.samples,
+            period_s=e.period_s,
+            topics=true_topics(vehicles),
+            parameters=parameters,
+            about={"source": "adaptiveSeek", "sha256": "", **{f"simulator_{k}": v for k, v in parameters.items()}},
+            start=lambda overrides: SimulatorNode(parameter_overrides=overrides),
+        )
 
 
 def estimators(spaces: Iterable[str]) -> list[str]:
@@ -91,12 +179,12 @@ class Plan:
                 raise InputError(f"--law: the model file {settings.model} says it; leave out --law or --model")
         if settings.save_state is not None:
             make_directory(settings.save_state)
-        plan = cls(_opened(source, settings.ring_m) if isinstance(source, Path) else source, output, settings)
+        opened = from_file(source, settings.ring_m) if isinstance(source, Path) else source.source
+        plan = cls(opened, output, settings)
         plan.check_size()
         plan.check_saved_states()
         if settings.resume is not None:
-            vehicles = plan.source.vehicles
-            saved = [path for v in vehicles if (path := file_of(settings.resume, v)).exists()]
+            saved = [path for v in plan.source.vehicles if (path := file_of(settings.resume, v)).exists()]
             if not saved:
                 raise InputError(
                     f"{settings.resume}: nothing is known of these vehicles; give a directory of --save-state"
@@ -105,15 +193,10 @@ class Plan:
                 read_learnt(path)
         return plan
 
-    @property
-    def has_tracks(self) -> bool:
-        """Whether the vehicles come and go, so that one node follows all of them."""
-        return isinstance(self.source, FromTracks)
-
     def check_size(self) -> None:
         """Raise InputError for what the graph of a run cannot do."""
         count = len(self.source.vehicles)
-        if not self.has_tracks and count > MOST_NODES:
+        if self.source.tracks is None and count > MOST_NODES:
             raise InputError(
                 f"{count} vehicles: a node for each driver works for at most {MOST_NODES}; convert the file to tracks,"
                 " which one node follows: sugiyama convert FILE TRACKS.parquet, or cut out some vehicles"
@@ -122,11 +205,8 @@ class Plan:
     def check_saved_states(self) -> None:
         """Raise OutputError where states of another run would be replaced. A run may go on in its own directory."""
         s = self.settings
-        if (
-            s.save_state is None
-            or s.overwrite
-            or (s.resume is not None and s.resume.resolve() == s.save_state.resolve())
-        ):
+        is_own = s.resume is not None and s.save_state is not None and s.resume.resolve() == s.save_state.resolve()
+        if s.save_state is None or s.overwrite or is_own:
             return
         for vehicle in self.source.vehicles:
             Output(file_of(s.save_state, vehicle)).check()
@@ -134,7 +214,7 @@ class Plan:
     @property
     def vehicles_with_topics(self) -> list[int]:
         """Vehicles that have topics of their own; none where one message holds all drivers."""
-        return [] if self.has_tracks or self.settings.array else self.source.vehicles
+        return [] if self.source.tracks is not None or self.settings.array else self.source.vehicles
 
     @property
     def namespaces(self) -> list[str]:
@@ -149,9 +229,9 @@ class Plan:
     @property
     def step_topics(self) -> list[str]:
         """Full names of the topics with one message a step."""
-        if self.has_tracks:
+        if self.source.tracks is not None:
             return ["/clock", "/measured", *self.source.topics]
-        own = ["/clock", "/measured", f"/{TOPIC}"] if self.settings.array else step_topics(self.namespaces)
+        own = ["/clock", "/measured", f"/{DRIVERS_TOPIC}"] if self.settings.array else step_topics(self.namespaces)
         return [*own, *self.source.topics]
 
     @property
@@ -171,17 +251,14 @@ class Plan:
     @property
     def followers(self) -> list[str]:
         """Full names of the nodes that follow the source; without the recorder."""
-        own = [DRIVERS] if self.has_tracks else self.estimators
+        own = [DRIVERS] if self.source.tracks is not None else self.estimators
         return [*own, *([CRITIC] if self.settings.critic else [])]
 
     @property
     def sending(self) -> dict[str, Any]:
         """Parameters of the source."""
-        return {
-            **self.source.parameters,
-            "rate": float(self.settings.rate),
-            "wait_for": [RECORDER, *self.followers],
-        }
+        followers = [RECORDER, *self.followers]
+        return {**self.source.parameters, "rate": float(self.settings.rate), "wait_for": followers}
 
     @property
     def recorder(self) -> dict[str, Any]:
@@ -201,12 +278,6 @@ class Plan:
             "time_source": "data",
             "metadata": [f"{key}={value}" for key, value in about.items()],
         }
-
-
-def _opened(path: Path, ring_m: float | None) -> RunSource:
-    """What a file holds: vehicles that come and go, or trajectories on one lane. Raises InputError."""
-    samples = samples_of(path, ring_m)
-    return FromTracks(path, samples) if isinstance(samples, TrackSamples) else FromFile(path, samples)
 
 
 def _check_names(*paths: Path | None) -> None:

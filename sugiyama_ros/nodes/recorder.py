@@ -1,22 +1,21 @@
 """Records the serialized bytes of all topics, as they come, in one MCAP file."""
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterable
 from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from rcl_interfaces.msg import ParameterDescriptor
-from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy
 from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 
 from sugiyama_ros.errors import InputError, SugiyamaError
+from sugiyama_ros.formats.definitions import full_text
 from sugiyama_ros.formats.mcap_writer import BagWriter, FolderWriter, Qos
 from sugiyama_ros.nodes.base import cdr_messages, incoming
-from sugiyama_ros.nodes.base.log_time import LogTime, begins_with_stamp
+from sugiyama_ros.nodes.base.cdr_messages import NS
 from sugiyama_ros.nodes.base.node import ERROR, OK, RECORDER, UNRECORDED, WARN, Health, PacedNode
-from sugiyama_ros.nodes.base.pacing import Levels
-from sugiyama_ros.nodes.base.qos import DEPTH, reliable
+from sugiyama_ros.nodes.base.qos import DEPTH, offered
 from sugiyama_ros.nodes.base.spin import run_node
 from sugiyama_ros.outputs import Output
 
@@ -31,6 +30,9 @@ PATIENCE_S = 10.0
 #: What all nodes log. It is recorded, but no node counts what it logs.
 LOG = "/rosout"
 _MB = 1_000_000
+#: A stamp that is farther than this [ns] from all samples so far is of another clock.
+_NEAR_NS = 10 * NS
+_STAMPED = ("std_msgs/Header", "builtin_interfaces/Time", "Header")
 
 
 def message_type(type_name: str) -> Any:
@@ -51,12 +53,12 @@ class Recorder(PacedNode):
     def __init__(self, **options: Any) -> None:
         super().__init__(RECORDER, **options)
         measured = self.shared("measured")
-        output = self._declare("output", "", "MCAP file to write, or directory for rosbag2")
-        overwrite = self._declare("overwrite", False, "replace a file of this name")
-        paced = self._declare("paced_topics", [measured], "full names of the topics with one message a step")
-        metadata = self._declare("metadata", [""], "lines key=value to keep in the file")
-        times = self._declare("time_source", "wall", "times in the file: wall, or data for the stamps of the samples")
-        split_mb = self._declare("split_mb", 0.0, "size [MB] at which the next file of a directory begins; 0: one file")
+        output = self.option("output", "", "MCAP file to write, or directory for rosbag2")
+        overwrite = self.option("overwrite", False, "replace a file of this name")
+        paced = self.option("paced_topics", [measured], "full names of the topics with one message a step")
+        metadata = self.option("metadata", [""], "lines key=value to keep in the file")
+        times = self.option("time_source", "wall", "times in the file: wall, or data for the stamps of the samples")
+        split_mb = self.option("split_mb", 0.0, "size [MB] at which the next file of a directory begins; 0: one file")
         if not output:
             raise InputError("recorder: no file given; start it with -p output:=FILE.mcap")
         if times not in ("wall", "data"):
@@ -125,9 +127,6 @@ class Recorder(PacedNode):
         if not self._is_closed:
             self._bag.flush()
 
-    def _declare(self, name: str, default: Any, description: str) -> Any:
-        return self.declare_parameter(name, default, ParameterDescriptor(description=description, read_only=True)).value
-
     def _on_poll(self) -> None:
         new = [
             (topic, types[0])
@@ -146,19 +145,16 @@ class Recorder(PacedNode):
 
     def _subscribe(self, topic: str, type_name: str) -> None:
         """Record a topic from now on, if it has a publisher."""
-        offered = [p.qos_profile for p in self.get_publishers_info_by_topic(topic)]
-        if not offered:
+        publishers = self.get_publishers_info_by_topic(topic)
+        if not publishers:
             return
         self._known.add(topic)
-        is_reliable = all(q.reliability == QoSReliabilityPolicy.RELIABLE for q in offered)
-        is_latched = all(q.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for q in offered)
-        reliability = QoSReliabilityPolicy.RELIABLE if is_reliable else QoSReliabilityPolicy.BEST_EFFORT
-        durability = QoSDurabilityPolicy.TRANSIENT_LOCAL if is_latched else QoSDurabilityPolicy.VOLATILE
-        qos = reliable(DEPTH if topic in self._levels.topics else _FROM_ALL, durability)
-        qos.reliability = reliability
+        qos = offered(publishers)
+        qos.depth = DEPTH if topic in self._levels.topics else _FROM_ALL
         try:
             message = message_type(type_name)
-            channel = self._bag.topic(topic, type_name, Qos(reliability.name.lower(), durability.name.lower(), DEPTH))
+            told = Qos(qos.reliability.name.lower(), qos.durability.name.lower(), DEPTH)
+            channel = self._bag.topic(topic, type_name, told)
             stamped = begins_with_stamp(type_name)
         except (ImportError, AttributeError, ValueError, SugiyamaError) as error:
             self.get_logger().warning(f"{topic}: not recorded: {error}")
@@ -235,6 +231,93 @@ class Recorder(PacedNode):
                 self.failure = error
 
 
+class Levels:
+    """How far a recorder of many topics has come: up to the last stamp for which every topic has brought a message.
+
+    ``reached`` takes constant time, whatever the number of topics.
+    """
+
+    def __init__(self, topics: Iterable[str]) -> None:
+        self.topics = set(topics)
+        self._pending: dict[bytes, int] = {}
+        self._last: dict[str, bytes] = {}
+
+    @property
+    def waiting(self) -> bool:
+        """Whether one topic has a stamp that another topic still lacks."""
+        return bool(self._pending)
+
+    def reached(self, topic: str, stamp: bytes) -> bool:
+        """Note a message with ``stamp`` on ``topic``; returns whether all topics now have this stamp."""
+        self._last[topic] = stamp
+        count = self._pending.get(stamp, 0) + 1
+        self._pending[stamp] = count
+        if count < len(self.topics):
+            return False
+        self._forget(stamp)
+        return True
+
+    def drop_late(self) -> tuple[list[str], bytes | None]:
+        """Wait no longer for topics that are behind; returns their names, and the last stamp that is now complete."""
+        late = sorted(t for t in self.topics if self._last.get(t) not in self._pending) if self._pending else []
+        self.topics.difference_update(late)
+        complete = [stamp for stamp, count in self._pending.items() if count >= len(self.topics)]
+        if not complete:
+            return late, None
+        self._forget(complete[-1])
+        return late, complete[-1]
+
+    def _forget(self, stamp: bytes) -> None:
+        # Stamps come in order on every topic, so older stamps that lack a message will never be complete.
+        for older in list(self._pending):
+            del self._pending[older]
+            if older == stamp:
+                break
+
+
+class LogTime:
+    """Gives each message its time [ns] in the record.
+
+    With the time of the data, a message has its own stamp if that is within the time of the samples of the road so far,
+    or near it, and else the stamp of the last sample. At a fast rate, many samples come before what follows from them.
+    So a bag of a fast replay plays as long as the recording was. Without, it is the time at which the message comes.
+    """
+
+    def __init__(self, of_data: bool) -> None:
+        self.of_data = of_data
+        self._last_ns: int | None = None
+        self._within = (0, 0)  # stamps of the earliest and of the latest sample
+
+    @property
+    def is_known(self) -> bool:
+        """Whether messages can be given a time: with the time of the data, once a sample has come."""
+        return not self.of_data or self._last_ns is not None
+
+    def heard(self, stamp_ns: int) -> None:
+        """Note the stamp [ns] of a sample of the road."""
+        earliest, latest = (stamp_ns, stamp_ns) if self._last_ns is None else self._within
+        self._within = min(earliest, stamp_ns), max(latest, stamp_ns)
+        self._last_ns = stamp_ns
+
+    def of(self, raw: bytes, stamped: bool) -> int:
+        """Time [ns] of a message; ``stamped`` if it begins with its stamp."""
+        if not self.of_data or self._last_ns is None:
+            return time.time_ns()
+        if stamped and raw[:2] == b"\0\1" and len(raw) >= 12:
+            own = int.from_bytes(raw[4:8], "little", signed=True) * NS + int.from_bytes(raw[8:12], "little")
+            earliest, latest = self._within
+            if own >= 0 and earliest - _NEAR_NS <= own <= latest + _NEAR_NS:
+                return own
+        return max(self._last_ns, 0)
+
+
+def begins_with_stamp(type_name: str) -> bool:
+    """Whether messages of a type begin with a header or a stamp. Raises InputError where the type is not installed."""
+    lines = (line.split("#")[0].split() for line in full_text(type_name).splitlines())
+    first = next((words for words in lines if words and "=" not in "".join(words)), [""])
+    return first[0] in _STAMPED
+
+
 def _writer(path: Path, overwrite: bool, split_mb: float, about: dict[str, str]) -> BagWriter | FolderWriter:
     """A writer of one file, or of a directory. Raises InputError or OutputError."""
     if path.suffix == ".mcap":
@@ -244,10 +327,5 @@ def _writer(path: Path, overwrite: bool, split_mb: float, about: dict[str, str])
     return FolderWriter(path, round(split_mb * _MB), about)
 
 
-def main() -> None:
-    """Run the recorder."""
-    run_node(Recorder)
-
-
 if __name__ == "__main__":
-    main()
+    run_node(Recorder)

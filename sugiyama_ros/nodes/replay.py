@@ -1,12 +1,13 @@
 """Replay of recorded trajectories."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rcl_interfaces.msg import ParameterDescriptor
 from sugiyama_msgs.srv import Seek
 
+from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.measured import FORMAT as BAG
@@ -14,20 +15,23 @@ from sugiyama_ros.formats.measured import stamp_ns
 from sugiyama_ros.formats.registry import format_of, known_suffixes, read_tracks, read_trajectories
 from sugiyama_ros.formats.truth import read_truth
 from sugiyama_ros.nodes.base.node import PacedNode
-from sugiyama_ros.nodes.base.samples import Positions, PositionSamples
+from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER, Positions, PositionSamples
 from sugiyama_ros.nodes.base.spin import run_node
-from sugiyama_ros.nodes.source import Source, answer
-from sugiyama_ros.nodes.track_samples import TrackSamples
-from sugiyama_ros.nodes.true_topics import TrueTopics
+from sugiyama_ros.nodes.source import Source, TrueTopics, answer
+from sugiyama_ros.road import Road
+from sugiyama_ros.trajectories.time_base import on_time_base, period_of
+from sugiyama_ros.trajectories.tracks import FREE, Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
 from sugiyama_ros.trajectories.truth import Truth
 
+# Largest number of a vehicle, which ROS sends in 32 bits.
+_LAST_VEHICLE = 2**31 - 1
+
 
 class RecordedPositions:
-    """Recorded trajectories as samples.
+    """Recorded trajectories as samples; truth: what the drivers really did, where they were simulated."""
 
-    trajectories: the measured positions; truth: what the drivers really did, where they were simulated.
-    """
+    names: Mapping[int, str] = {}
 
     def __init__(self, trajectories: Trajectories, truth: Truth | None = None) -> None:
         t, self.truth = trajectories, truth
@@ -47,6 +51,83 @@ class RecordedPositions:
             t.position_m[step, here].tolist(),
             t.length_m[here].tolist(),
         )
+
+
+class TrackSamples:
+    """Tracks as samples, on a regular time base. Several recordings follow one another.
+
+    A leader who is not known is sent as one who is not in view. vehicle: number of the vehicle of each run: its name if
+    all names are numbers and each comes once, else the number of the run; names: vehicle and recording of each number;
+    empty where the numbers are names.
+    """
+
+    def __init__(self, tracks: Tracks) -> None:
+        tracks = on_time_base(tracks)
+        self.road, self.period_s = Road(tracks.about.ring_m), period_of(tracks)
+        self.source, self.sha256 = tracks.about.source, tracks.about.sha256
+        step, self.start_s = _steps(tracks, self.period_s)
+        self.steps = int(step.max(initial=-1)) + 1
+        self.vehicle = _numbers(tracks)
+        given = {number: tracks.run_name(run) for run, number in enumerate(self.vehicle)}
+        self.names = {} if all(str(number) == name for number, name in given.items()) else given
+        order = np.argsort(step, kind="stable")
+        self._first = np.searchsorted(step[order], np.arange(self.steps + 1))
+        number = np.array(self.vehicle, dtype=np.int64)[tracks.run]
+        ahead = number[np.maximum(tracks.leader_row, 0)]
+        other = np.where(tracks.leader_row == FREE, -1, UNKNOWN_LEADER)
+        self._number = number[order]
+        self._leader = np.where(tracks.leader_row >= 0, ahead, other)[order]
+        self._position_m, self._length_m = self.road.wrap(tracks.s_m)[order], tracks.length_m[order]
+        self._lane = _lanes(tracks)[order] if tracks.lane is not None else None
+        self._d_m = None if tracks.d_m is None else tracks.d_m[order]
+
+    @property
+    def drivers_per_s(self) -> float:
+        """Samples of drivers in a second, where most vehicles are in view."""
+        return float(np.diff(self._first).max(initial=0)) / self.period_s
+
+    def at(self, step: int) -> Positions:
+        """Sample number ``step``: the vehicles that are in view then."""
+        here = slice(self._first[step], self._first[step + 1])
+        return Positions(
+            self._number[here].tolist(),
+            self._leader[here].tolist(),
+            self._position_m[here].tolist(),
+            self._length_m[here].tolist(),
+            () if self._lane is None else self._lane[here].tolist(),
+            () if self._d_m is None else self._d_m[here].tolist(),
+        )
+
+
+def _steps(tracks: Tracks, period_s: float) -> tuple[Ints, float]:
+    """Number of the sample of each row (R,), and time [s] of the first; recordings one after the other."""
+    step = np.zeros(len(tracks), dtype=np.int64)
+    start_s, last = float(tracks.time_s.min(initial=np.inf)), -1
+    codes = tracks.recording.code
+    for code in dict.fromkeys(codes.tolist()):
+        here = codes == code
+        time: Array = tracks.time_s[here]
+        step[here] = last + 1 + np.round((time - time.min()) / period_s).astype(np.int64)
+        last = int(step[here].max())
+    return step, start_s if np.isfinite(start_s) else 0.0
+
+
+def _numbers(tracks: Tracks) -> list[int]:
+    """Number of the vehicle of each run."""
+    names = [tracks.vehicle.at(int(row)) for row in tracks.start[:-1]]
+    if len(set(names)) == len(names) and all(n.isascii() and n.isdigit() and int(n) <= _LAST_VEHICLE for n in names):
+        return [int(name) for name in names]
+    return list(range(len(names)))
+
+
+def _lanes(tracks: Tracks) -> Ints:
+    """Number of the lane of each row (R,): its name if all names are numbers, else its place; -1 where unknown."""
+    lane = tracks.lane
+    assert lane is not None
+    of_text = [int(t) if t.isascii() and t.isdigit() else -1 for t in lane.text]
+    if min(of_text, default=0) < 0:
+        of_text = list(range(len(lane.text)))
+    return np.array([*of_text, -1], dtype=np.int64)[lane.code]
 
 
 def samples_of(path: Path, ring_m: float | None) -> "RecordedPositions | TrackSamples":
@@ -96,22 +177,17 @@ class Replay(Source):
     def __init__(self, samples: PositionSamples | None = None, **options: Any) -> None:
         self._given = samples
         super().__init__("replay", **options)
-        self.loop = self.get_parameter("loop").value
         truth = getattr(self.samples, "truth", None)
         self._truth = _RecordedTruth(self, truth, self.samples.start_s) if truth is not None else None
         self.create_service(Seek, "~/seek", self._on_seek)
 
     def open(self) -> PositionSamples:
         """The samples that were given, or else the file that parameter ``source`` names."""
-        for name, default, description in (
-            ("source", "", f"file of trajectories: {known_suffixes()}"),
-            ("ring", 0.0, "circumference [m] of the ring, where the file does not say it; 0: as the file says"),
-            ("loop", False, "start again at the end"),
-        ):
-            self.declare_parameter(name, default, ParameterDescriptor(description=description, read_only=True))
+        source = self.option("source", "", f"file of trajectories: {known_suffixes()}")
+        ring = "circumference [m] of the ring, where the file does not say it; 0: as the file says"
+        ring_m, self.loop = self.option("ring", 0.0, ring), self.option("loop", False, "start again at the end")
         if self._given is not None:
             return self._given
-        source, ring_m = self.get_parameter("source").value, self.get_parameter("ring").value
         if not source:
             raise InputError("replay: no file given; start it with -p source:=FILE")
         return samples_of(Path(source), ring_m or None)
@@ -129,10 +205,5 @@ class Replay(Source):
         return answer(response)
 
 
-def main() -> None:
-    """Run the replay."""
-    run_node(Replay)
-
-
 if __name__ == "__main__":
-    main()
+    run_node(Replay)

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.parameter import Parameter as RosParameter
 from sugiyama_msgs.srv import SetDriver
 
@@ -19,11 +18,10 @@ from sugiyama_ros.nodes.base import incoming
 from sugiyama_ros.nodes.base.cdr_messages import NS
 from sugiyama_ros.nodes.base.incoming import RefusedError
 from sugiyama_ros.nodes.base.node import ERROR, Health
+from sugiyama_ros.nodes.base.parameters import declare_driver
 from sugiyama_ros.nodes.base.samples import Positions
 from sugiyama_ros.nodes.base.spin import run_node
-from sugiyama_ros.nodes.driver_parameters import declare_driver, declare_path
-from sugiyama_ros.nodes.source import Source, answer
-from sugiyama_ros.nodes.true_topics import TrueTopics
+from sugiyama_ros.nodes.source import Source, TrueTopics, answer
 from sugiyama_ros.simulation.experiment import Experiment, changed, set_up
 from sugiyama_ros.simulation.result import parameters_of
 from sugiyama_ros.simulation.simulator import Simulator
@@ -76,24 +74,25 @@ class SimulatorNode(Source):
 
     def open(self) -> SimulatedPositions:
         """A simulation with the node's parameters."""
-        whole, real, texts = self._integer, self._real, self._texts
-        vehicles = whole("vehicles", 22, 1, 1000, "number of vehicles")
-        about = ParameterDescriptor(description="start in a jam, or with equal gaps on a ring", read_only=True)
-        start = str(self.declare_parameter("start", "jam", about).value)
-        about = ParameterDescriptor(description="length of each vehicle, or of all [m]; 0: the usual", read_only=True)
-        given = [float(length) for length in self.declare_parameter("lengths", [0.0], about).value]
+        option = self.option
+        vehicles = option("vehicles", 22, "number of vehicles", (1, 1000))
+        lengths = option("lengths", [0.0], "length of each vehicle, or of all [m]; 0: the usual")
+        given = tuple(float(length) for length in lengths)
+        ended = "time [s] after which the simulation ends; 0: never"
+        spread = "relative std of v_star and kappa_v over the drivers"
         experiment = Experiment(
-            ring_m=real("ring", 230.0, 0.0, 1e5, "circumference [m]; 0: an open road"),
-            duration_s=real("duration", 0.0, 0.0, 1e6, "time [s] after which the simulation ends; 0: never"),
-            gap_m=real("start_gap", 2.0, 0.1, 1e3, "gap [m] between vehicles at the start, in a jam"),
-            period_s=real("period", 1.0 / 3.0, 0.05, 1.0, "time [s] between samples"),
-            spread=real("spread", 0.0, 0.0, 1.0, "relative std of v_star and kappa_v over the drivers"),
-            seed=whole("seed", 0, 0, 2**31 - 1, "seed of the noise"),
-            start=start,
-            length_m=() if given == [0.0] else tuple(given),
+            ring_m=option("ring", 230.0, "circumference [m]; 0: an open road", (0.0, 1e5)),
+            duration_s=option("duration", 0.0, ended, (0.0, 1e6)),
+            gap_m=option("start_gap", 2.0, "gap [m] between vehicles at the start, in a jam", (0.1, 1e3)),
+            period_s=option("period", 1.0 / 3.0, "time [s] between samples", (0.05, 1.0)),
+            spread=option("spread", 0.0, spread, (0.0, 1.0)),
+            seed=option("seed", 0, "seed of the noise", (0, 2**31 - 1)),
+            start=option("start", "jam", "start in a jam, or with equal gaps on a ring"),
+            length_m=() if given == (0.0,) else given,
         )
-        model = declare_path(self, "model", "model file (YAML) with drivers and effects")
-        effects = dict(read_effect(text, "effects") for text in texts("effects", "NAME:PARAMETER=VALUE[,...], each"))
+        model = self.path("model", "model file (YAML) with drivers and effects")
+        texts = self.texts("effects", "NAME:PARAMETER=VALUE[,...], each")
+        effects = dict(read_effect(text, "effects") for text in texts)
         rows = changed(self._drivers(vehicles, model), {}, effects)
         return SimulatedPositions(set_up(experiment, rows), experiment.samples if experiment.duration_s else 0)
 
@@ -150,20 +149,6 @@ class SimulatorNode(Source):
             drive = TrueDriver(time_s, vehicle, parameters_of(self.samples.simulator.drivers[vehicle]))
             self._truth.send_parameters(round(time_s * NS), drive)
 
-    def _integer(self, name: str, default: int, lower: int, upper: int, description: str) -> int:
-        bounds = IntegerRange(from_value=lower, to_value=upper)
-        about = ParameterDescriptor(description=description, integer_range=[bounds], read_only=True)
-        return int(self.declare_parameter(name, default, about).value)
-
-    def _real(self, name: str, default: float, lower: float, upper: float, description: str) -> float:
-        bounds = FloatingPointRange(from_value=lower, to_value=upper)
-        about = ParameterDescriptor(description=description, floating_point_range=[bounds], read_only=True)
-        return float(self.declare_parameter(name, default, about).value)
-
-    def _texts(self, name: str, description: str) -> list[str]:
-        about = ParameterDescriptor(description=description, read_only=True)
-        return [str(text) for text in self.declare_parameter(name, [""], about).value if text]
-
 
 def _changed_driver(row: Array, values: Mapping[str, float]) -> Array:
     """A driver's row (WIDTH,) with other values, by ``parameter`` or ``effect.parameter``. Raises InputError."""
@@ -178,10 +163,5 @@ def _changed_driver(row: Array, values: Mapping[str, float]) -> Array:
     return changed(row[None], own, effects)[0]
 
 
-def main() -> None:
-    """Run the simulator."""
-    run_node(SimulatorNode)
-
-
 if __name__ == "__main__":
-    main()
+    run_node(SimulatorNode)

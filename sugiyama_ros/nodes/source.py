@@ -1,23 +1,33 @@
 """A source of measured positions: paced by its subscribers and, if wanted, by the clock."""
 
 import time
+from collections.abc import Iterable
+from math import pi
 from typing import Any
 
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, Quaternion, Vector3
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
+from std_msgs.msg import ColorRGBA
 from std_srvs.srv import Trigger
-from sugiyama_msgs.msg import MeasuredPositions, Progress
+from sugiyama_msgs.msg import MeasuredPositions, Progress, TrueParameters, Truth
 from sugiyama_msgs.msg import Road as RoadMessage
-from visualization_msgs.msg import MarkerArray
+from visualization_msgs.msg import Marker, MarkerArray
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.measured import FRAME
-from sugiyama_ros.nodes.base import cdr_messages, environment, incoming
+from sugiyama_ros.formats.truth import namespaces, truth_message
+from sugiyama_ros.nodes.base import cdr_messages, environment
+from sugiyama_ros.nodes.base.cdr_messages import NS, time_message
 from sugiyama_ros.nodes.base.node import ERROR, OK, RECORDER, WARN, Health, PacedNode
-from sugiyama_ros.nodes.base.pacing import Pace
 from sugiyama_ros.nodes.base.qos import LATCHED, PROGRESS_IN, STREAM, WINDOW
-from sugiyama_ros.nodes.base.samples import PositionSamples
-from sugiyama_ros.nodes.markers import Markers
+from sugiyama_ros.nodes.base.samples import Positions, PositionSamples
+from sugiyama_ros.road import Road
+from sugiyama_ros.trajectories.truth import TrueDriver
 
 _TICK_S = 0.005
 # Nodes that are waited for and named when the source starts, at most.
@@ -26,6 +36,18 @@ _NAMED = 3
 PATIENCE_S = 10.0
 # Time [s] in which a new source looks for another one; discovery between processes takes up to about 3 s.
 _LOOKS_S, _LOOKS_EVERY_S = 3.0, 0.1
+# Of the boxes of vehicles.
+_WIDTH_M, _HEIGHT_M = 1.7, 1.5
+_GREY = ColorRGBA(r=0.5, g=0.5, b=0.5, a=1.0)
+_BLUE = ColorRGBA(r=0.2, g=0.5, b=0.9, a=1.0)
+_CORNERS = 72
+# Special numbers, which nothing else in a message has, show where the bytes of a number stand.
+_SEC, _NANOSEC, _ID = 0x5EC0_5EC0, 0x7A0_7A07, 0x1D1D_1D1D
+_REAL = {name: (k + 1.2345) * 1e-300 for k, name in enumerate(("x", "y", "z", "w", "length"))}
+_MARK = {"sec": _SEC, "nanosec": _NANOSEC, "id": _ID, **_REAL}
+_DTYPES = {"sec": "<i4", "nanosec": "<u4", "id": "<i4", **dict.fromkeys(_REAL, "<f8")}
+# Bytes before the count of the markers, and behind it.
+_COUNT_AT, _FIRST_AT = 4, 8
 
 
 class Source(PacedNode):
@@ -36,37 +58,20 @@ class Source(PacedNode):
     topic of the nodes that it waits for.
 
     Parameters of the node: ``rate`` (times real time; 0: as fast as the subscribers take it), ``start_paused``,
-    ``wait_for`` (full names of the nodes to wait for), ``exit_at_end``. Services: ``~/pause``, ``~/resume`` and
-    ``~/step``.
+    ``wait_for`` (full names of nodes to wait for), ``exit_at_end``. Services: ``~/pause``, ``~/resume``, ``~/step``.
     """
 
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
-        self.declare_parameter(
-            "rate",
-            1.0,
-            ParameterDescriptor(
-                description="times real time; 0: as fast as the subscribers take it",
-                floating_point_range=[FloatingPointRange(from_value=0.0, to_value=1e6)],
-            ),
-        )
-        self.declare_parameter(
-            "start_paused", False, ParameterDescriptor(description="wait for ~/resume or ~/step", read_only=True)
-        )
-        self.declare_parameter(
-            "wait_for",
-            [""],
-            ParameterDescriptor(
-                description="full names of the nodes to wait for before the first step", read_only=True
-            ),
-        )
-        about = ParameterDescriptor(description="end when the last sample has been taken", read_only=True)
-        self._exits_at_end = bool(self.declare_parameter("exit_at_end", False, about).value)
+        about = ParameterDescriptor(description="times real time; 0: as fast as the subscribers take it")
+        about.floating_point_range = [FloatingPointRange(from_value=0.0, to_value=1e6)]
+        self.declare_parameter("rate", 1.0, about)
+        awaited = self.texts("wait_for", "full names of the nodes to wait for before the first step")
+        self._paused = self.option("start_paused", False, "wait for ~/resume or ~/step")
+        self._exits_at_end = self.option("exit_at_end", False, "end when the last sample has been taken")
         self.loop = False
         self.samples = self.open()
         self._speed_up = self.get_parameter("rate").value
-        self._paused = self.get_parameter("start_paused").value
-        awaited = [name for name in self.get_parameter("wait_for").value if name]
         self._pace = Pace(WINDOW, PATIENCE_S, awaited)
         self._is_for_recorder = any(name.rpartition("/")[2] == RECORDER for name in awaited)
         self.next_step = 0
@@ -79,7 +84,7 @@ class Source(PacedNode):
         self._to_measured = self.create_publisher(MeasuredPositions, "measured", STREAM)
         self._to_clock = self.create_publisher(Clock, "/clock", STREAM)
         self._to_markers = self.create_publisher(MarkerArray, "markers", STREAM)
-        self.listen(Progress, self.shared("_progress"), incoming.progress, self._on_progress, PROGRESS_IN)
+        self.listen(Progress, self.shared("_progress"), self._on_progress, PROGRESS_IN)
         for service, callback in (("pause", self._on_pause), ("resume", self._on_resume), ("step", self._on_step)):
             self.create_service(Trigger, f"~/{service}", callback)
         self.add_post_set_parameters_callback(lambda _: self._on_parameters())
@@ -174,7 +179,7 @@ class Source(PacedNode):
     def _send(self) -> None:
         step, samples = self.next_step, self.samples
         positions = samples.at(step)
-        stamp_ns = round((samples.start_s + step * samples.period_s) * cdr_messages.NS)
+        stamp_ns = round((samples.start_s + step * samples.period_s) * NS)
         self.send(self._to_clock, cdr_messages.clock(stamp_ns))
         self.send(self._to_measured, cdr_messages.measured_positions(stamp_ns, step, positions))
         self.send_more(stamp_ns)
@@ -185,17 +190,9 @@ class Source(PacedNode):
 
     def _send_road(self) -> None:
         s = self.samples
-        message = RoadMessage(
-            circumference_m=s.road.circumference_m,
-            period_s=s.period_s,
-            steps=s.steps,
-            source=s.source,
-            sha256=s.sha256,
-        )
-        message.header.stamp, message.header.frame_id = (
-            cdr_messages.time_message(round(s.start_s * cdr_messages.NS)),
-            FRAME,
-        )
+        message = RoadMessage(circumference_m=s.road.circumference_m, period_s=s.period_s, steps=s.steps)
+        message.source, message.sha256 = s.source, s.sha256
+        message.header.stamp, message.header.frame_id = time_message(round(s.start_s * NS)), FRAME
         self.send(self._to_road, message)
 
     def _on_progress(self, message: Progress) -> None:
@@ -245,3 +242,185 @@ def answer(response: Any, why_not: str = "") -> Any:
     """Fill in the response of a service: success, or why not."""
     response.success, response.message = not why_not, why_not
     return response
+
+
+class Pace:
+    """How far a source may go: at most ``window`` steps beyond the slowest subscriber.
+
+    A subscriber reports how many steps of the recording it has taken, at least once a second. A subscriber that is
+    silent for ``patience_s`` is dropped, and joins again with its next report. Nothing is sent before all nodes in
+    ``wait_for`` have reported.
+    """
+
+    def __init__(self, window: int, patience_s: float, wait_for: Iterable[str] = ()) -> None:
+        self.missing = set(wait_for)
+        self.dropped: set[str] = set()
+        self.window = window
+        self._patience_s = patience_s
+        # of each subscriber: steps taken, and the time [s] of the last report
+        self._steps: dict[str, int] = {}
+        self._heard_s: dict[str, float] = {}
+        self._first = 0
+        self._next = 0
+        self.acknowledged = 0
+
+    @property
+    def drained(self) -> bool:
+        """Whether everything sent has been acknowledged."""
+        return self.acknowledged == self._next
+
+    @property
+    def may_send(self) -> bool:
+        """Whether one more step fits into the window."""
+        return not self.missing and self._next < self.acknowledged + self.window
+
+    def sent(self) -> None:
+        """One more step was sent."""
+        self._next += 1
+        self._update()
+
+    def heard(self, name: str, steps: int, now_s: float) -> None:
+        """Subscriber ``name`` has taken all steps before number ``steps``."""
+        self.missing.discard(name)
+        self.dropped.discard(name)
+        known = self._steps.setdefault(name, self._first)
+        self._heard_s[name] = now_s
+        # Any other number is from before the last restart. An old number that happens to fit lets the source run at
+        # most one window too far, because all steps had been taken at the restart.
+        if known < steps <= self._next:
+            self._steps[name] = steps
+        self._update()
+
+    def restart(self, step: int) -> None:
+        """Go on with step number ``step``. Everything sent before must have been acknowledged."""
+        self._first = self._next = step
+        self._steps = dict.fromkeys(self._steps, step)
+        self._update()
+
+    def drop_silent(self, now_s: float) -> list[str]:
+        """Drop the subscribers that have been silent for too long; returns their names."""
+        silent = [name for name, heard_s in self._heard_s.items() if now_s - heard_s > self._patience_s]
+        for name in silent:
+            del self._steps[name], self._heard_s[name]
+        if silent:
+            self.dropped.update(silent)
+            self._update()
+        return silent
+
+    def _update(self) -> None:
+        self.acknowledged = min(self._steps.values(), default=self._next)
+
+
+class TrueTopics:
+    """Publishes the true motion of each vehicle with every sample, and the true parameters when they change."""
+
+    def __init__(self, node: PacedNode, vehicles: Iterable[int]) -> None:
+        self._node = node
+        numbers = list(vehicles)
+        spaces = [space.lstrip("/") for space in namespaces(numbers)]
+        self._motion: dict[int, Any] = {}
+        self._parameters: dict[int, Any] = {}
+        for vehicle, space in zip(numbers, spaces, strict=True):
+            self._motion[vehicle] = node.create_publisher(Truth, f"{space}/truth", STREAM)
+            self._parameters[vehicle] = node.create_publisher(TrueParameters, f"{space}/true_parameters", LATCHED)
+
+    def send_motion(self, stamp_ns: int, motion: Array) -> None:
+        """Send true position [m], speed [m/s], acceleration [m/s^2] and gap [m] of each vehicle, (N, 4)."""
+        for (vehicle, publisher), one in zip(self._motion.items(), motion.tolist(), strict=True):
+            self._node.send(publisher, truth_message(stamp_ns, vehicle, one))
+
+    def send_parameters(self, stamp_ns: int, drive: TrueDriver) -> None:
+        """Send the parameters with which a driver drives from a stamp [ns] on."""
+        message = TrueParameters(
+            vehicle=drive.vehicle, name=list(drive.parameters), value=list(drive.parameters.values())
+        )
+        message.header.stamp, message.header.frame_id = time_message(stamp_ns), FRAME
+        self._node.send(self._parameters[drive.vehicle], message)
+
+
+class Markers:
+    """Messages with a box for each vehicle with a known position.
+
+    The vehicles are on a circle for a ring, and along the x axis for an open road. Each message replaces the message
+    before. A message object of 22 boxes takes longer to make than the filters of 22 drivers take for a step, so the
+    bytes are made once and filled with new numbers.
+    """
+
+    def __init__(self, road: Road) -> None:
+        self._road = road
+        first = [_marker(Marker.DELETEALL), *([_line(road)] if road.is_ring else [])]
+        box = _marker(Marker.ADD, "vehicles", _ID, Marker.CUBE, _BLUE)
+        box.pose.position = Point(x=_REAL["x"], y=_REAL["y"])
+        box.pose.orientation = Quaternion(z=_REAL["z"], w=_REAL["w"])
+        box.scale = Vector3(x=_REAL["length"], y=_WIDTH_M, z=_HEIGHT_M)
+        # where a box stands decides how many bytes align its numbers; after two boxes, this begins anew
+        none, one, two = (_bytes_of([*first, *[box] * count]) for count in range(3))
+        self._before, self._box_bytes = len(first), len(one) - len(none)
+        self._first, self._stamps = np.frombuffer(none, np.uint8), [_places(none, name) for name in ("sec", "nanosec")]
+        pair = two[len(none) :]
+        self._pair = np.frombuffer(pair, np.uint8)
+        fields = [(f"{name}{k}", _DTYPES[name], at) for name in _MARK for k, at in enumerate(_places(pair, name))]
+        names, formats, offsets = zip(*fields, strict=True)
+        self._numbers = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": len(pair)})
+
+    def message(self, stamp_ns: int, positions: Positions) -> bytes:
+        """Bytes of the message for a sample at a stamp [ns]."""
+        position, length = np.array(positions.position_m), np.array(positions.length_m)
+        known = np.isfinite(position)
+        x, y, heading = _on_the_plane(self._road, position[known])
+        stamp = [np.array(number, dtype) for number, dtype in zip(divmod(stamp_ns, NS), ("<i4", "<u4"), strict=True)]
+        count, number = len(x), np.array(positions.vehicle)[known]
+        values = np.full(count, stamp[0]), np.full(count, stamp[1]), number, x, y, np.sin(0.5 * heading)
+        columns = dict(zip(_MARK, (*values, np.cos(0.5 * heading), length[known]), strict=True))
+        first = self._first.copy()
+        first[_COUNT_AT:_FIRST_AT] = np.frombuffer(np.uint32(self._before + count).tobytes(), np.uint8)
+        for places, one in zip(self._stamps, stamp, strict=True):
+            for at in places:
+                first[at : at + 4] = np.frombuffer(one.tobytes(), np.uint8)
+        boxes = np.tile(self._pair, ((count + 1) // 2, 1))
+        filled = boxes.view(self._numbers)[:, 0] if count else np.empty(0, self._numbers)
+        for name, column in columns.items():
+            for k in range(2):
+                filled[f"{name}{k}"][: len(column[k::2])] = column[k::2]
+        last = count // 2 * len(self._pair) + count % 2 * self._box_bytes
+        return bytes(np.concatenate([first, boxes.ravel()[:last]]))
+
+
+def _bytes_of(markers: list[Marker]) -> bytes:
+    """Bytes of a message with markers, up to where the next marker would begin."""
+    raw = bytes(serialize_message(MarkerArray(markers=markers)))
+    return raw.ljust(-(-len(raw) // 4) * 4, b"\0")
+
+
+def _places(raw: bytes, name: str) -> list[int]:
+    """Where a special number stands."""
+    mark = np.array(_MARK[name], _DTYPES[name]).tobytes()
+    found = [raw.find(mark)]
+    while found[-1] >= 0:
+        found.append(raw.find(mark, found[-1] + 1))
+    return found[:-1]
+
+
+def _marker(action: int, name: str = "", number: int = 0, shape: int = 0, color: ColorRGBA | None = None) -> Marker:
+    marker = Marker(ns=name, id=number, action=action, type=shape, color=color or ColorRGBA())
+    marker.header.stamp = Time(sec=_SEC, nanosec=_NANOSEC)
+    marker.header.frame_id = FRAME
+    marker.pose.orientation.w = 1.0
+    return marker
+
+
+def _line(road: Road) -> Marker:
+    """The road as a line."""
+    line = _marker(Marker.ADD, "road", 0, Marker.LINE_STRIP, _GREY)
+    line.scale.x = 0.3
+    x, y, _ = _on_the_plane(road, np.asarray(np.linspace(0.0, road.circumference_m, _CORNERS + 1)))
+    line.points = [Point(x=x_m, y=y_m) for x_m, y_m in zip(x.tolist(), y.tolist(), strict=True)]
+    return line
+
+
+def _on_the_plane(road: Road, position_m: Array) -> tuple[Array, Array, Array]:
+    """Coordinates x, y [m] and heading [rad] of positions [m], each (N,)."""
+    if not road.is_ring:
+        return position_m, np.zeros_like(position_m), np.zeros_like(position_m)
+    angle, radius = 2.0 * pi * position_m / road.circumference_m, road.circumference_m / (2.0 * pi)
+    return radius * np.cos(angle), radius * np.sin(angle), angle + 0.5 * pi

@@ -7,7 +7,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from sugiyama_msgs.msg import MeasuredPositions
 from sugiyama_msgs.msg import Road as RoadMessage
 
@@ -18,12 +17,10 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.centre_line import read_lanes
 from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.nodes.base import cdr_messages
-from sugiyama_ros.nodes.base.incoming import decoded
 from sugiyama_ros.nodes.base.node import OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM, offered
 from sugiyama_ros.nodes.base.samples import Positions
 from sugiyama_ros.nodes.base.spin import run_node
-from sugiyama_ros.nodes.driver_parameters import declare_path
 from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M
 
 _POLL_S = 0.2
@@ -38,14 +35,13 @@ class TracksNode(PacedNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__("tracks", **options)
-        line = declare_path(self, "centre_line", "centre lines of the lanes (CSV): x, y[, lane, width]")
-        bridge = declare_path(self, "bridge", "what a message of a type that is not known says (YAML)")
-        about = ParameterDescriptor(description="patterns of the topics of vehicles, as /car*/odom", read_only=True)
-        self._patterns = [str(p) for p in self.declare_parameter("topics", [""], about).value if p]
-        about = ParameterDescriptor(description="frame of the centre line; empty: that of the messages", read_only=True)
-        frame = str(self.declare_parameter("frame", "", about).value)
-        period_s = self._real("period", 0.1, 0.01, 10.0, "time [s] between two samples of the road")
-        length_m = self._real("length", DEFAULT_LENGTH_M, 0.5, 100.0, "length [m] of a vehicle that does not say it")
+        line = self.path("centre_line", "centre lines of the lanes (CSV): x, y[, lane, width]")
+        bridge = self.path("bridge", "what a message of a type that is not known says (YAML)")
+        self._patterns = self.texts("topics", "patterns of the topics of vehicles, as /car*/odom")
+        frame = str(self.option("frame", "", "frame of the centre line; empty: that of the messages"))
+        period_s = self.option("period", 0.1, "time [s] between two samples of the road", (0.01, 10.0))
+        length = "length [m] of a vehicle that does not say it"
+        length_m = self.option("length", DEFAULT_LENGTH_M, length, (0.5, 100.0))
         if line is None or not self._patterns:
             raise InputError(
                 "tracks: no centre line or no topics given; start it with -p centre_line:=FILE.csv -p"
@@ -99,9 +95,7 @@ class TracksNode(PacedNode):
             self._leave_out(topic, f"{kind} is not installed; install {package}")
             return False
         self._known.add(topic)
-
-        decode = partial(decoded, kind=message)
-        self.listen(message, topic, decode, take, offered(self.get_publishers_info_by_topic(topic)))
+        self.listen(message, topic, take, offered(self.get_publishers_info_by_topic(topic)))
         return True
 
     def _leave_out(self, topic: str, why: str) -> None:
@@ -135,16 +129,6 @@ class TracksNode(PacedNode):
         message.header.frame_id = FRAME
         self.send(self._to_road, message)
 
-    def _real(self, name: str, default: float, lower: float, upper: float, description: str) -> float:
-        bounds = FloatingPointRange(from_value=lower, to_value=upper)
-        about = ParameterDescriptor(description=description, floating_point_range=[bounds], read_only=True)
-        return float(self.declare_parameter(name, default, about).value)
-
-
-def main() -> None:
-    """Run the node."""
-    run_node(TracksNode)
-
 
 if __name__ == "__main__":
-    main()
+    run_node(TracksNode)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from typing import Any
 
+import numpy as np
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.client import Client
@@ -24,18 +25,20 @@ from sugiyama_msgs.msg import (
 from sugiyama_msgs.msg import Road as RoadMessage
 from sugiyama_msgs.srv import AddEffect, RemoveEffect
 
+from sugiyama_ros.driver.parameters import population
 from sugiyama_ros.effects.effect import RecordingExtent
 from sugiyama_ros.effects.registry import EFFECTS, effect
+from sugiyama_ros.filters.chain import CHAIN
+from sugiyama_ros.filters.online import OnlineFilter, warm_up
 from sugiyama_ros.formats.truth import namespaces
-from sugiyama_ros.nodes.base import cdr_messages, environment, incoming
-from sugiyama_ros.nodes.base.any_publisher import AnyPublisher
+from sugiyama_ros.nodes.base import environment
+from sugiyama_ros.nodes.base.cdr_messages import NS
+from sugiyama_ros.nodes.base.feed import DRIVERS_TOPIC
+from sugiyama_ros.nodes.base.incoming import receiver
+from sugiyama_ros.nodes.base.node import AnyPublisher, clients_of
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
-from sugiyama_ros.nodes.base_model import BaseModel
-from sugiyama_ros.nodes.driver_array import TOPIC
-from sugiyama_ros.nodes.effect_services import clients_of
-from sugiyama_ros.nodes.effect_words import TITLES, can_be_added
+from sugiyama_ros.nodes.base.samples import Sample
 from sugiyama_ros.nodes.plan import DRIVERS, REPLAY, estimators
-from sugiyama_ros.nodes.told import each_driver
 from sugiyama_ros.page.feed import KEPT, Log, Status
 from sugiyama_ros.page.panels.base import MOVING_S
 from sugiyama_ros.road import Road
@@ -44,6 +47,8 @@ from sugiyama_ros.road import Road
 _EVENTS, _RATE_S = 8, 5.0
 # Samples that wait for the errors of all drivers, at most.
 _OPEN = 128
+# Entries of the state: position, speed, acceleration.
+_STATE, _SPEED = 3, 1
 _WORDS = {"v_star": "desired speed", "kappa_v": "risk premium"}
 
 
@@ -139,7 +144,7 @@ class View(Node):
         self.said = ""
         self._road: RoadMessage | None = None
         self.effects: Mapping[str, str] = can_be_added(self._recording())
-        self.titles = TITLES
+        self.titles: Mapping[str, str] = {name: e.title for name, e in EFFECTS.items()}
         # the critic's values of all parameters of effects
         self._fitted: dict[str, float] = {}
         self._joined: dict[int, _Joined] = {}
@@ -151,23 +156,21 @@ class View(Node):
         self._errors: dict[int, list[float]] = {}
         self._latest_s, self._first_s, self._step = -math.inf, math.nan, -1
         self._arrived: deque[tuple[float, float]] = deque(maxlen=2000)
-        self._listen(RoadMessage, "/road", incoming.road, self._on_road, LATCHED)
-        self._listen(MeasuredPositions, "/measured", incoming.sample, self._on_measured)
-        self._listen(Verdict, "/verdict", incoming.verdict, self._on_verdict)
+        self._listen(RoadMessage, "/road", self._on_road, LATCHED)
+        self._listen(MeasuredPositions, "/measured", self._on_measured)
+        self._listen(Verdict, "/verdict", self._on_verdict)
         # from one node for all drivers, who then have no topics of their own
         self._are_together = False
-        self._listen(DriverArray, f"/{TOPIC}", incoming.drivers, self._on_drivers)
-        self._listen(StyleChange, "/style_change", incoming.style_change, self._on_change)
+        self._listen(DriverArray, f"/{DRIVERS_TOPIC}", self._on_drivers)
+        self._listen(StyleChange, "/style_change", self._on_change)
         self._listen_to(expected, expected)
 
-    def _listen(
-        self, kind: type, topic: str, decode: Callable[[bytes], Any], take: Callable[[Any], None], qos: Any = STREAM
-    ) -> None:
+    def _listen(self, kind: type, topic: str, take: Callable[[Any], None], qos: Any = STREAM) -> None:
         """Subscribe to a topic, whatever its publishers offer.
 
         A message that is not valid is left out; the nodes of the road tell of it.
         """
-        AnyPublisher(self, kind, topic, incoming.receiver(decode, take, lambda reason: None), qos)
+        AnyPublisher(self, kind, topic, receiver(kind, take), qos)
 
     def status(self) -> Status:
         """Where the recording is, and how fast it goes."""
@@ -220,7 +223,7 @@ class View(Node):
 
         def on_success() -> None:
             self.added = tuple(dict.fromkeys([*self.added, name]))
-            self._changed(f"{TITLES.get(name, name)} added ({values})")
+            self._changed(f"{self.titles.get(name, name)} added ({values})")
 
         self._call(AddEffect, [f"{estimator}/add_effect" for estimator in self._estimators()], request, on_success)
 
@@ -229,7 +232,7 @@ class View(Node):
 
         def on_success() -> None:
             self.added = tuple(one for one in self.added if one != name)
-            self._changed(f"{TITLES.get(name, name)} removed")
+            self._changed(f"{self.titles.get(name, name)} removed")
 
         services = [f"{estimator}/remove_effect" for estimator in self._estimators()]
         self._call(RemoveEffect, services, RemoveEffect.Request(effect=name), on_success)
@@ -278,8 +281,8 @@ class View(Node):
         self.road, self._road = Road(float(road.circumference_m)), road
         self._base = BaseModel(road)
 
-    def _on_measured(self, sample: cdr_messages.Sample) -> None:
-        time_s = sample.stamp_ns / cdr_messages.NS
+    def _on_measured(self, sample: Sample) -> None:
+        time_s = sample.stamp_ns / NS
         if sample.step < self._step:
             self._happened("the recording begins anew")
             self._arrived.clear()
@@ -329,21 +332,31 @@ class View(Node):
             self._joined[v] = _Joined(self._driver[v])
             if self._are_together:
                 continue
-            self._listen(VehicleState, f"{space}/state", incoming.state, self._on_state)
-            self._listen(Innovation, f"{space}/innovation", incoming.innovation, self._on_innovation)
-            self._listen(DriverParameters, f"{space}/parameters", incoming.parameters, self._on_parameters)
-            self._listen(StyleChange, f"{space}/style_change", incoming.style_change, self._on_change)
+            self._listen(VehicleState, f"{space}/state", self._on_state)
+            self._listen(Innovation, f"{space}/innovation", self._on_innovation)
+            self._listen(DriverParameters, f"{space}/parameters", self._on_parameters)
+            self._listen(StyleChange, f"{space}/style_change", self._on_change)
 
     def _on_drivers(self, message: DriverArray) -> None:
         self._are_together = True
-        for told in each_driver(message):
-            if told.adapted is not None:
-                self._learn(told.state[0], told.state[1], told.adapted)
-            self._on_state(told.state)
-            self._on_innovation(told.innovation)
+        time_s, count, names = _seconds(message), len(message.vehicle), list(message.name)
+        speed_var = np.array(message.state_covariance).reshape(count, _STATE, _STATE)[:, _SPEED, _SPEED].tolist()
+        value = np.array(message.value).reshape(count, len(names))
+        learnt = [name for name, estimated in zip(names, message.estimated, strict=True) if estimated]
+        var = np.array(message.parameter_covariance).reshape(count, len(learnt), len(learnt))
+        for k, v in enumerate(map(int, message.vehicle)):
+            if set(_WORDS) <= set(learnt):
+                mean = value[k, [names.index(name) for name in _WORDS]].tolist()
+                std = np.sqrt(np.maximum(np.diag(var[k])[[learnt.index(name) for name in _WORDS]], 0.0)).tolist()
+                self._learn(time_s, v, (mean[0], std[0], mean[1], std[1]))
+            self._take_state(time_s, v, message.position_m[k], message.speed[k], speed_var[k])
+            innovation = message.innovation_m[k], message.innovation_var[k], message.scored[k]
+            self._take_innovation(time_s, v, *innovation)
 
-    def _on_state(self, state: tuple[float, int, float, float, float]) -> None:
-        time_s, v, position, speed, variance = state
+    def _on_state(self, m: VehicleState) -> None:
+        self._take_state(_seconds(m), m.vehicle, m.position_m, m.speed, float(m.covariance[4]))
+
+    def _take_state(self, time_s: float, v: int, position: float, speed: float, variance: float) -> None:
         if v not in self.driver:
             return
         self._joined[v].take(_Joined.STATE, time_s, speed, math.sqrt(max(variance, 0.0)))
@@ -371,8 +384,10 @@ class View(Node):
         what = _WORDS.get(message.name, message.name)
         self._happened(f"vehicle {message.vehicle} has changed style: {what} times {message.factor:.2f}")
 
-    def _on_innovation(self, found: cdr_messages.ReadInnovation) -> None:
-        time_s, v, innovation, variance, _, scored = found
+    def _on_innovation(self, m: Innovation) -> None:
+        self._take_innovation(_seconds(m), m.vehicle, m.innovation_m, m.innovation_var, m.scored)
+
+    def _take_innovation(self, time_s: float, v: int, innovation: float, variance: float, scored: bool) -> None:
         if v not in self.driver:
             return
         if scored and (v in self.led or not self.led):
@@ -412,3 +427,46 @@ class View(Node):
             for name, gain in self.gains.items():
                 self._critic.setdefault(name, Log(KEPT)).add(time_s, gain)
         self.best, self.is_settled = str(message.best), bool(message.settled)
+
+
+class BaseModel:
+    """One filter of the base model for each vehicle: what the one-step errors would be without added effects."""
+
+    def __init__(self, road: RoadMessage) -> None:
+        warm_up()
+        self._road, self._period_s = Road(float(road.circumference_m)), float(road.period_s)
+        self._filters: dict[int, OnlineFilter] = {}
+
+    def follow(self, sample: Sample) -> list[float]:
+        """Follow all vehicles of a sample, and return the one-step errors [m] that count."""
+        errors = []
+        for vehicle in sample.place:
+            if vehicle not in self._filters:
+                self._filters[vehicle] = OnlineFilter(self._period_s, self._road, population())
+            chain = sample.chain(vehicle, CHAIN)
+            position, length, behind = sample.sight(vehicle, chain)
+            try:
+                found = self._filters[vehicle].step(position, chain, length, sample.stamp_ns / NS, behind)
+            except ArithmeticError:  # nobody drives like this; the filter begins anew
+                del self._filters[vehicle]
+                continue
+            if found.scored:
+                errors.append(float(found.innovation_m))
+        return errors
+
+
+def can_be_added(extent: RecordingExtent) -> dict[str, str]:
+    """Effects that can be added while drivers are followed; each with what it is, and what its parameters mean."""
+    names = [name for name, e in EFFECTS.items() if e.function is not None and e.starts(extent)]
+    return {name: explained(name) for name in names}
+
+
+def explained(name: str) -> str:
+    """What an effect is, and what its parameters mean, in their units."""
+    effect_ = effect(name)
+    means = [
+        f"{p.name}{f' [{p.unit}]' if p.unit not in ('', '1') else ''}: {p.description.split(';')[0]}"
+        for p in effect_.parameters
+    ]
+    text = f"{effect_.title}: {effect_.summary}. Strength: {'; '.join(means)}."
+    return text.replace("^2", "²").replace("^3", "³")

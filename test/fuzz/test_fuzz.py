@@ -39,7 +39,7 @@ from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.recover import recover
 from sugiyama_ros.formats.registry import read_tracks, read_trajectories
 from sugiyama_ros.nodes.base import incoming
-from sugiyama_ros.nodes.saved_state import read_learnt
+from sugiyama_ros.nodes.keeper import read_learnt
 from sugiyama_ros.page.diagnosis import read_diagnosis
 from sugiyama_ros.page.recording import read_recording
 from sugiyama_ros.trajectories.exchange import KEY
@@ -212,7 +212,7 @@ def test_messages(name: str, data: st.DataObject) -> None:
     raw = data.draw(mutations.binaries(bytes(serialize_message(MESSAGES[name]))))
     start = time.process_time()
     with suppress(incoming.RefusedError):
-        taken = getattr(incoming, name)(raw)
+        taken = incoming.decoder(type(MESSAGES[name]))(raw)
         if name == "road":
             assert 0.0 < taken.period_s <= 1e3
         if name == "sample":

@@ -13,8 +13,8 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.nodes.base.qos import STREAM
 from sugiyama_ros.nodes.drivers import DriversNode
 from sugiyama_ros.nodes.estimator import Estimator
+from sugiyama_ros.nodes.keeper import file_of, kept_in, read_learnt
 from sugiyama_ros.nodes.replay import Replay
-from sugiyama_ros.nodes.saved_state import file_of, kept_in, read_learnt
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(90)]
 

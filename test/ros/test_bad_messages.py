@@ -18,7 +18,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
-from sugiyama_msgs.msg import DriverParameters, MeasuredPositions, Progress, VehicleState, Verdict
+from sugiyama_msgs.msg import DriverParameters, Innovation, MeasuredPositions, Progress, VehicleState, Verdict
 from sugiyama_msgs.msg import Road as RoadMessage
 from sugiyama_msgs.srv import AddEffect
 
@@ -29,11 +29,11 @@ from sugiyama_ros.nodes.base import cdr_messages, incoming
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base.samples import Positions
 from sugiyama_ros.nodes.base.spin import ros
-from sugiyama_ros.nodes.base_model import BaseModel
 from sugiyama_ros.nodes.critic import Critic
 from sugiyama_ros.nodes.estimator import Estimator
+from sugiyama_ros.nodes.keeper import kept_in, read_learnt
 from sugiyama_ros.nodes.recorder import Recorder
-from sugiyama_ros.nodes.saved_state import kept_in, read_learnt
+from sugiyama_ros.nodes.view import BaseModel
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(90)]
 PERIOD_S, RING_M = 0.5, 100.0
@@ -122,11 +122,11 @@ def test_random_bytes_never_raise_anything_else() -> None:
     kinds = {
         incoming.road: road_of(),
         incoming.sample: GOOD,
-        incoming.progress: bytes(serialize_message(Progress(node="/a", steps=1))),
+        incoming.decoder(Progress): bytes(serialize_message(Progress(node="/a", steps=1))),
         incoming.parameters: bytes(serialize_message(parameters)),
         incoming.verdict: bytes(serialize_message(verdict)),
-        incoming.state: GOOD,
-        incoming.innovation: GOOD,
+        incoming.decoder(VehicleState): GOOD,
+        incoming.decoder(Innovation): GOOD,
     }
     refused = 0
     for decode, good in kinds.items():
@@ -178,7 +178,7 @@ def test_nodes_go_on_after_bad_messages(stage: Any, tmp_path: Path) -> None:
         road.publish(raw)
         stage.until(lambda number=number: estimator.refused >= number and critic.refused >= number)
     road.publish(road_of())
-    stage.until(lambda: estimator.filter is not None)
+    stage.until(lambda: estimator.follower is not None)
     for step in range(20):
         measured.publish(sample_of(step))
     stage.until(lambda: len(states) == 20)
@@ -232,7 +232,7 @@ def test_a_request_or_a_message_that_the_code_fails_on_does_not_end_the_node(sta
     estimator = Estimator(namespace="/vehicle_00")
     stage.add(estimator)
     estimator.create_service(Trigger, "~/fails", lambda request, response: 1 // 0)
-    estimator.listen(Progress, "/fails", incoming.progress, lambda message: 1 // 0, STREAM)
+    estimator.listen(Progress, "/fails", lambda message: 1 // 0, STREAM)
     unknown = ParameterMessage(name="v_star", value=ParameterValue(type=200))
     answer = stage.call(
         SetParameters, "/vehicle_00/estimator/set_parameters", SetParameters.Request(parameters=[unknown])
@@ -279,13 +279,13 @@ def test_a_filter_that_diverges_starts_anew_and_tells(stage: Any) -> None:
     """With a drag below 0, the speed grows faster than exponentially."""
     estimator = Estimator(namespace="/vehicle_00")
     stage.add(estimator)
-    estimator._on_road(incoming.road(road_of()))
+    estimator.on_road(incoming.road(road_of()))
     request = AddEffect.Request(effect="drag", name=["c0", "c2"], value=[-2.0, -0.1])
     assert stage.call(AddEffect, "/vehicle_00/estimator/add_effect", request).success
     for step in range(40):
         estimator.take_in(incoming.sample(sample_of(step)))
-        assert estimator.filter is not None
-        assert np.isfinite(estimator.filter.learnt.mean).all()
+        assert estimator.follower is not None
+        assert np.isfinite(estimator.follower.filter.learnt.mean).all()
     assert estimator.health().level == DiagnosticStatus.ERROR
     assert "diverged" in estimator.health().message
     assert estimator.steps == 40

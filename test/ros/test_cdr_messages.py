@@ -10,8 +10,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 from sugiyama_ros.filters.online import Estimate
 from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.nodes.base import cdr_messages
-from sugiyama_ros.nodes.base.samples import Positions
-from sugiyama_ros.nodes.markers import Markers
+from sugiyama_ros.nodes.base.samples import Positions, Sample
+from sugiyama_ros.nodes.source import Markers
 from sugiyama_ros.road import Road
 
 
@@ -124,14 +124,6 @@ def test_states_are_written(stamp_ns: int) -> None:
     # Bytes between the fields are arbitrary, so the messages are compared, not the bytes.
     assert deserialize_message(raw, VehicleState) == expected
     assert cdr_messages.stamp_key(raw) == cdr_messages.stamp_key(serialize_message(expected))
-    e = estimate
-    assert cdr_messages.read_state(raw) == (
-        pytest.approx(stamp_ns / cdr_messages.NS),
-        7,
-        e.position_m,
-        e.speed,
-        e.covariance[1, 1],
-    )
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -144,9 +136,6 @@ def test_innovations_are_written(seed: int) -> None:
     raw = cdr_messages.innovation(5, -1, estimate)
     assert len(raw) == len(serialize_message(expected))
     assert deserialize_message(raw, Innovation) == expected
-    e = estimate
-    known = (pytest.approx(5e-9), -1, e.innovation_m, e.innovation_var, e.nis, e.scored)
-    assert cdr_messages.read_innovation(raw) == known
 
 
 def test_many_innovations_are_read_at_once_and_those_of_others_passed_over() -> None:
@@ -164,7 +153,7 @@ def test_many_innovations_are_read_at_once_and_those_of_others_passed_over() -> 
 
 
 def test_a_chain_ends_where_there_is_no_leader_or_it_comes_back() -> None:
-    sample = cdr_messages.Sample(0, 0, [6, 7, -1, 8], [0.0] * 4, [0.0] * 4, {5: 0, 6: 1, 7: 2, 8: 3})
+    sample = Sample(0, 0, [6, 7, -1, 8], [0.0] * 4, [0.0] * 4, {5: 0, 6: 1, 7: 2, 8: 3})
     assert sample.chain(5, 3) == [5, 6, 7]
     assert sample.chain(6, 3) == [6, 7, -1]
     assert sample.chain(7, 3) == [7, -1, -1]
@@ -178,7 +167,7 @@ def test_parameters_are_written(stamp_ns: int, count: int) -> None:
     value, covariance = rng.normal(size=count), rng.normal(size=(count, count))
     identified = np.arange(count) % 3 == 0
     names = [f"a_name_{k}" for k in range(count)]
-    writer = cdr_messages.Parameters(7, names, names[2:4])
+    writer = cdr_messages.ParametersWriter(7, names, names[2:4])
     for _ in range(2):
         message = deserialize_message(writer.message(stamp_ns, value, covariance, identified), DriverParameters)
     assert message.header.stamp.sec * cdr_messages.NS + message.header.stamp.nanosec == stamp_ns

@@ -16,7 +16,7 @@ from sugiyama_ros.filters.causal import filter_chain
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import ADAPT
 from sugiyama_ros.formats.plain_csv import write_csv
-from sugiyama_ros.nodes import effect_services
+from sugiyama_ros.nodes.base import node as base_node
 from sugiyama_ros.nodes.base.qos import STREAM
 from sugiyama_ros.nodes.critic import Critic
 from sugiyama_ros.nodes.estimator import Estimator
@@ -108,7 +108,7 @@ def test_a_hidden_delay_is_named_added_and_the_error_falls(stage, delayed, tmp_p
 
     request = AddEffect.Request(effect="reaction_delay", name=["delay"], value=[DELAY_S])
     assert stage.call(AddEffect, "/critic/add_effect", request).success
-    stage.until(lambda: all(active(e.filter.parameters) for e in estimators))
+    stage.until(lambda: all(active(e.follower.filter.parameters) for e in estimators))
     stage.until(lambda: not list(critic.clients))
     assert stage.call(Seek, "/replay/seek", Seek.Request(time_s=0.0)).success
     stage.until(lambda: ears.pass_done(samples), 100.0)
@@ -148,7 +148,7 @@ def test_effects_are_checked_added_and_removed(stage, ring_csv: Path) -> None:
 
 def test_nothing_waits_for_estimators_that_are_not_there(stage, delayed, tmp_path: Path, monkeypatch) -> None:
     """One of ten drivers has an estimator, who gets the effect: the answer comes at once, and says who is missing."""
-    monkeypatch.setattr(effect_services, "_READY_S", 3600.0)
+    monkeypatch.setattr(base_node, "_READY_S", 3600.0)
     write_csv(delayed, tmp_path / "delayed.csv")
     about = {"source": str(tmp_path / "delayed.csv"), "ring": RING_M, "rate": 0.0, "start_paused": True}
     replay = Replay(parameter_overrides=[Parameter(k, value=v) for k, v in about.items()])
@@ -156,10 +156,10 @@ def test_nothing_waits_for_estimators_that_are_not_there(stage, delayed, tmp_pat
     stage.add(replay, critic, estimator)
     stage.until(lambda: critic.health().message.startswith("nothing heard"))
     assert stage.call(Trigger, "/replay/step", Trigger.Request()).success
-    stage.until(lambda: critic.health().message.startswith("comparing") and estimator.filter is not None)
+    stage.until(lambda: critic.health().message.startswith("comparing") and estimator.follower is not None)
     request = AddEffect.Request(effect="drag", name=["c0"], value=[0.1])
     refused = stage.call(AddEffect, "/critic/add_effect", request)
     assert not refused.success
     missing = ", ".join(f"/vehicle_{v:02}/estimator/add_effect" for v in (0, 1, 2))
     assert refused.message == f"1 of 10 estimators answer; missing: {missing} ..."
-    stage.until(lambda: active(estimator.filter.parameters) == ("drag",))
+    stage.until(lambda: active(estimator.follower.filter.parameters) == ("drag",))

@@ -14,11 +14,9 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.online import Estimate
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.nodes.base import cdr_messages
-from sugiyama_ros.nodes.base.driver_array_messages import SEVEN_DIGITS, ArrayWriter, KnownDriver, ParameterNames
-from sugiyama_ros.nodes.base.measured_feed import MeasuredFeed
-from sugiyama_ros.nodes.base.qos import DEPTH, LATCHED, STREAM
+from sugiyama_ros.nodes.base.cdr_messages import SEVEN_DIGITS, ArrayWriter, KnownDriver, ParameterNames
+from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base.samples import Positions
-from sugiyama_ros.nodes.driver_array import DriverArrayTopic
 from sugiyama_ros.nodes.estimator import Estimator
 from sugiyama_ros.nodes.run import run
 from sugiyama_ros.page.recording import read_recording
@@ -164,9 +162,9 @@ class Hand(Node):
 
 
 def test_samples_that_wait_for_the_road_come_in_their_order(stage) -> None:
-    hand, feed, array = Hand(), MeasuredFeed(), DriverArrayTopic()
-    drivers = [Estimator(feed, array, namespace=f"/vehicle_0{v}", parameter_overrides=[IN_ARRAY]) for v in range(3)]
-    stage.add(hand, feed, *drivers)
+    hand, first = Hand(), Estimator(namespace="/vehicle_00", parameter_overrides=[IN_ARRAY])
+    others = (Estimator(first.feed, namespace=f"/vehicle_0{v}", parameter_overrides=[IN_ARRAY]) for v in (1, 2))
+    stage.add(hand, first, *others)
     stage.until(lambda: hand.count_subscribers("measured") == 1)
     hand.drive(*range(10))
     hand.send_road()
@@ -179,29 +177,11 @@ def test_samples_that_wait_for_the_road_come_in_their_order(stage) -> None:
     assert hand.arrays[-1].header.stamp == cdr_messages.time_message(5 * cdr_messages.NS)
 
 
-def test_a_driver_who_stays_behind_does_not_hold_up_the_others(stage) -> None:
-    hand, array = Hand(), DriverArrayTopic()
-    nodes = [Estimator(namespace=f"/vehicle_0{v}") for v in range(2)]
-    stage.add(hand, *nodes)
-    for node in nodes:
-        array.join(node)
-    stage.until(lambda: hand.count_publishers("drivers") == 1)
-    names = ParameterNames(("v_star",), ("v_star",))
-    for k in range(DEPTH + 3):
-        array.put(nodes[0], k, a_driver(0, k, names))
-    stage.until(lambda: len(hand.arrays) == 3)
-    assert [a.header.stamp.nanosec for a in hand.arrays] == [0, 1, 2]
-    array.put(nodes[1], DEPTH + 2, a_driver(1, 0, names))
-    stage.until(lambda: len(hand.arrays) == DEPTH + 3)
-    assert [a.header.stamp.nanosec for a in hand.arrays] == list(range(DEPTH + 3))
-    assert [a.vehicle.tolist() for a in hand.arrays] == [*[[0]] * (DEPTH + 2), [0, 1]]
-
-
 def test_an_estimator_of_its_own_process_sends_an_array_of_one_driver(stage) -> None:
     hand, driver = Hand(), Estimator(namespace="/vehicle_02", parameter_overrides=[IN_ARRAY])
     stage.add(hand, driver)
     hand.send_road()
-    stage.until(lambda: hand.count_subscribers("measured") == 1 and driver.filter is not None)
+    stage.until(lambda: hand.count_subscribers("measured") == 1 and driver.follower is not None)
     hand.drive(*range(5))
     stage.until(lambda: len(hand.arrays) == 5)
     assert [a.vehicle.tolist() for a in hand.arrays] == [[2]] * 5

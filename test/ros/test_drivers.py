@@ -22,7 +22,7 @@ from sugiyama_ros.nodes.base.node import OK, WARN
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER
 from sugiyama_ros.nodes.drivers import DriversNode
-from sugiyama_ros.nodes.saved_state import read_learnt
+from sugiyama_ros.nodes.keeper import read_learnt
 from sugiyama_ros.road import Road as OpenRoad
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
@@ -73,7 +73,7 @@ def test_drivers_come_and_go_and_come_again(stage, tmp_path: Path) -> None:
         perception.send(k, ({} if gone else {1: 1.0 * k}) | {2: 40.0 + 1.0 * k}, {1: 2})
         if k in (29, 55, 99):
             stage.until(lambda k=k: drivers.steps == k + 1)
-            assert drivers.in_view == ((2,) if gone else (1, 2) if k == 29 else (2, 1))
+            assert tuple(drivers.drivers) == ((2,) if gone else (1, 2) if k == 29 else (2, 1))
         if k == 55:
             kept = read_learnt(tmp_path / "vehicle_01.json")
     stage.until(lambda: len(perception.answers) == 100)
@@ -201,15 +201,15 @@ def test_a_lifecycle_manager_starts_the_node(stage) -> None:
     stage.for_a_while(0.2)
     assert len(perception.answers) == 1
     drivers.trigger_cleanup()
-    assert drivers.in_view == ()
+    assert tuple(drivers.drivers) == ()
 
 
 def test_reset_forgets_the_drivers(stage) -> None:
     perception, drivers = started(stage)
     perception.send(0, {1: 0.0})
-    stage.until(lambda: drivers.in_view == (1,))
+    stage.until(lambda: tuple(drivers.drivers) == (1,))
     assert stage.call(Trigger, "/drivers/reset", Trigger.Request()).success
-    assert drivers.in_view == ()
+    assert tuple(drivers.drivers) == ()
 
 
 def test_wrong_values_are_one_line(stage) -> None:
@@ -226,7 +226,7 @@ def test_a_damaged_saved_state_is_told_and_not_used(stage, tmp_path: Path, capfd
     (tmp_path / "vehicle_01.json").write_text("{}")
     perception, drivers = started(stage, resume=str(tmp_path))
     perception.send(0, {1: 0.0})
-    stage.until(lambda: drivers.in_view == (1,))
+    stage.until(lambda: tuple(drivers.drivers) == (1,))
     assert "vehicle_01.json: is no state" in capfd.readouterr().err
 
 
@@ -238,6 +238,6 @@ def test_after_a_jump_in_time_the_drivers_stay_known(stage) -> None:
     for k in range(30):
         perception.send(k, {1: 1.0 * k} | ({2: 40.0 + 1.0 * k} if k >= 20 else {}))
     stage.until(lambda: drivers.steps == 90)
-    assert drivers.in_view == (1, 2)
+    assert tuple(drivers.drivers) == (1, 2)
     values = drivers.health().values
     assert (values["resets"], values["came"], values["came again"], values["retired"]) == (1, 2, 1, 1)

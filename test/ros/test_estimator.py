@@ -25,8 +25,7 @@ from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.estimator import Estimator
-from sugiyama_ros.nodes.keeper import Keeper
-from sugiyama_ros.nodes.saved_state import Kept, file_of, read_learnt, write_learnt
+from sugiyama_ros.nodes.keeper import Keeper, Kept, file_of, read_learnt, write_learnt
 from sugiyama_ros.road import Road as RingRoad
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
@@ -205,7 +204,7 @@ def test_after_a_jump_in_time_the_filter_keeps_what_it_has_learnt(stage, pair, j
     road, estimator = pair
     road.drive(0, 20)
     stage.until(lambda: len(road.states) == 20)
-    learnt = estimator.filter.learnt
+    learnt = estimator.follower.filter.learnt
     road.drive(jump, jump + 1)
     stage.until(lambda: estimator.steps == 21)
     assert values(estimator)["resets"] == 0
@@ -214,7 +213,7 @@ def test_after_a_jump_in_time_the_filter_keeps_what_it_has_learnt(stage, pair, j
     assert values(estimator)["resets"] == 1
     assert [isnan(i.innovation_m) for i in road.innovations[20:24]] == [True, True, False, False]
     assert road.states[-1].speed == pytest.approx(5.0, abs=0.5)
-    now = estimator.filter.learnt
+    now = estimator.follower.filter.learnt
     if jump == 0:
         # the samples were learnt from already, so they tell nothing new
         assert now.mean == pytest.approx(learnt.mean, abs=1e-12)
@@ -238,7 +237,7 @@ def test_one_stray_sample_changes_nothing(stage, pair) -> None:
     for k in range(63):
         position = [(5.0 * k * PERIOD_S) % 100.0, (30.0 + 5.0 * k * PERIOD_S) % 100.0, nan]
         never.step(position, [7, 8, 9], [4.5, 4.5, 0.0], k * PERIOD_S)
-    assert np.array_equal(estimator.filter.learnt.covariance, never.learnt.covariance)
+    assert np.array_equal(estimator.follower.filter.learnt.covariance, never.learnt.covariance)
 
 
 def test_swapped_samples_are_sorted_in(stage) -> None:
@@ -261,7 +260,7 @@ def test_swapped_samples_are_sorted_in(stage) -> None:
         counted = values(estimator)
         assert (counted["samples"], counted["sorted in"]) == (100, 9 if swapped else 0)
         assert counted["rate [Hz]"] == pytest.approx(10.0, rel=0.01 if not swapped else 0.2)
-        ends.append((road.states[-1].speed, *estimator.filter.learnt.mean))
+        ends.append((road.states[-1].speed, *estimator.follower.filter.learnt.mean))
         stage.kill(road)
         stage.nodes.remove(estimator)
         estimator.destroy_node()
@@ -348,7 +347,7 @@ def test_the_type_of_the_driver_is_published(stage, ring_csv: Path, tmp_path: Pa
     road.drive(0, 21)
     stage.until(lambda: len(told) == 11)
     assert told[0].probability == pytest.approx([0.75, 0.25])
-    learnt, prior = estimator.filter.learnt, estimator.filter.prior
+    learnt, prior = estimator.follower.filter.learnt, estimator.follower.filter.prior
     assert told[-1].probability == pytest.approx(types.probabilities(learnt, prior))
     assert (told[-1].header.stamp.sec, told[-1].vehicle) == (10, 7)
 
@@ -383,7 +382,8 @@ def test_a_killed_node_continues_from_its_file(stage, tmp_path: Path) -> None:
     def drive(estimator: Estimator, begin: int, end: int) -> None:
         for k in range(begin, end):
             road.send(k * PERIOD_S, dict(zip((7, 8), position[k].tolist(), strict=True)))
-        stage.until(lambda: estimator.stamp_ns == round((end - 1) * PERIOD_S * cdr_messages.NS))
+        last_ns = round((end - 1) * PERIOD_S * cdr_messages.NS)
+        stage.until(lambda: estimator.follower is not None and estimator.follower.stamp_ns == last_ns)
 
     stage.add(road, first)
     stage.until(lambda: first.health().level == OK)
@@ -392,7 +392,7 @@ def test_a_killed_node_continues_from_its_file(stage, tmp_path: Path) -> None:
     saved = read_learnt(file_of(tmp_path, 7))
     stage.kill(first)
     again = Estimator(namespace="/vehicle_07", parameter_overrides=[Parameter("resume", value=str(tmp_path))])
-    assert again.kept.learnt.mean.tolist() == saved.learnt.mean.tolist()
+    assert again.known[7].learnt.mean.tolist() == saved.learnt.mean.tolist()
     assert saved.until_ns == 20 * cdr_messages.NS
     stage.add(again)
     # the road is latched; the samples since its predecessor's last file are gone
@@ -404,8 +404,8 @@ def test_a_killed_node_continues_from_its_file(stage, tmp_path: Path) -> None:
         if k == 60:
             same.restart()
         same.step([*position[k], nan], [7, 8, 9], [4.5, 4.5, 0.0], k * PERIOD_S)
-    assert again.filter.learnt.mean == pytest.approx(same.learnt.mean, rel=1e-6)
-    assert again.filter.learnt.covariance == pytest.approx(same.learnt.covariance, rel=1e-6, abs=1e-9)
+    assert again.follower.filter.learnt.mean == pytest.approx(same.learnt.mean, rel=1e-6)
+    assert again.follower.filter.learnt.covariance == pytest.approx(same.learnt.covariance, rel=1e-6, abs=1e-9)
 
 
 def test_a_killed_node_continues_from_the_keeper(stage) -> None:
@@ -420,7 +420,8 @@ def test_a_killed_node_continues_from_the_keeper(stage) -> None:
     def drive(estimator: Estimator, begin: int, end: int) -> None:
         for k in range(begin, end):
             road.send(k * PERIOD_S, dict(zip((7, 8), position[k].tolist(), strict=True)))
-        stage.until(lambda: estimator.stamp_ns == round((end - 1) * PERIOD_S * cdr_messages.NS))
+        last_ns = round((end - 1) * PERIOD_S * cdr_messages.NS)
+        stage.until(lambda: estimator.follower is not None and estimator.follower.stamp_ns == last_ns)
 
     stage.add(road, keeper, first)
     stage.until(lambda: first.health().level == OK and dict(keeper.health().values)["drivers"] == 1)
@@ -431,11 +432,11 @@ def test_a_killed_node_continues_from_the_keeper(stage) -> None:
     again = Estimator(namespace="/vehicle_07", parameter_overrides=[Parameter("ask_keeper", value=True)])
     stage.add(again)
     drive(again, 60, 80)
-    assert again.kept.until_ns == 29 * cdr_messages.NS
+    assert again.known[7].until_ns == 29 * cdr_messages.NS
     never = OnlineFilter(PERIOD_S, RingRoad(100.0))
     for k in range(80):
         never.step([*position[k], nan], [7, 8, 9], [4.5, 4.5, 0.0], k * PERIOD_S)
-    off = again.filter.learnt.mean - never.learnt.mean
+    off = again.follower.filter.learnt.mean - never.learnt.mean
     assert np.all(np.abs(off) < np.sqrt(np.diag(never.learnt.covariance)))
 
 

@@ -15,7 +15,7 @@ import yaml
 from sugiyama_ros.driver.parameters import NAMES, population
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.truth import read_truth
-from sugiyama_ros.nodes.results import read_run
+from sugiyama_ros.nodes.run import read_run
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(150)]
 ROOT = Path(__file__).parents[2]

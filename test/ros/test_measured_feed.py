@@ -6,7 +6,6 @@ from sugiyama_msgs.msg import MeasuredPositions
 from sugiyama_msgs.msg import Road as RoadMessage
 
 from sugiyama_ros.nodes.base import cdr_messages
-from sugiyama_ros.nodes.base.measured_feed import MeasuredFeed
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base.samples import Positions
 from sugiyama_ros.nodes.estimator import Estimator
@@ -15,12 +14,12 @@ pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
 
 
 def test_estimators_of_a_process_share_one_subscription(stage) -> None:
-    feed, hand = MeasuredFeed(), Node("hand")
-    shared = [Estimator(feed, namespace=f"/vehicle_0{v}") for v in range(3)]
+    hand, first = Node("hand"), Estimator(namespace="/vehicle_00")
+    shared = [first, *(Estimator(first.feed, namespace=f"/vehicle_0{v}") for v in (1, 2))]
     alone = Estimator(namespace="/vehicle_03")
     to_road = hand.create_publisher(RoadMessage, "road", LATCHED)
     to_measured = hand.create_publisher(MeasuredPositions, "measured", STREAM)
-    stage.add(hand, feed, *shared, alone)
+    stage.add(hand, *shared, alone)
     stage.until(lambda: hand.count_subscribers("measured") == 2)
     # samples that come before the road wait for it
     for k in range(10):

@@ -42,9 +42,9 @@ def test_standard_messages_of_now_and_of_the_next_seconds(stage, ring_csv: Path)
     radius = 100.0 / (2.0 * np.pi)
     last = heard["odometry"][-1]
     assert np.hypot(last.pose.pose.position.x, last.pose.pose.position.y) == pytest.approx(radius)
-    assert last.twist.twist.linear.x == pytest.approx(estimator.filter.kalman.x[1])
+    assert last.twist.twist.linear.x == pytest.approx(estimator.follower.filter.kalman.x[1])
     covariance = np.reshape(last.pose.covariance, (6, 6))
-    var = estimator.filter.kalman.P[0, 0]
+    var = estimator.follower.filter.kalman.P[0, 0]
     assert np.trace(covariance[:2, :2]) == pytest.approx(var)
     # the road turns, so the direction is as uncertain as the place on the circle, and the driver may turn aside by 0.1;
     # a filter of positions along a road knows nothing of height, roll and pitch
@@ -52,7 +52,7 @@ def test_standard_messages_of_now_and_of_the_next_seconds(stage, ring_csv: Path)
     assert covariance.diagonal()[2:5].tolist() == [1e6] * 3
     np.linalg.cholesky(covariance + 1e-9 * np.eye(6))
     twist = np.reshape(last.twist.covariance, (6, 6))
-    assert twist.diagonal().tolist() == pytest.approx([estimator.filter.kalman.P[1, 1], *[1e6] * 5])
+    assert twist.diagonal().tolist() == pytest.approx([estimator.follower.filter.kalman.P[1, 1], *[1e6] * 5])
     # all of the variance of the place lies along the road
     across = np.array([last.pose.pose.position.x, last.pose.pose.position.y]) / radius
     assert across @ covariance[:2, :2] @ across == pytest.approx(0.0, abs=1e-9)

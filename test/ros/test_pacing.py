@@ -2,7 +2,8 @@
 
 import pytest
 
-from sugiyama_ros.nodes.base.pacing import Levels, Pace
+from sugiyama_ros.nodes.recorder import Levels
+from sugiyama_ros.nodes.source import Pace
 
 
 def send_all(pace: Pace) -> int:

@@ -215,11 +215,11 @@ def test_a_process_that_cannot_be_taken_down_ends_with_its_work_done(stage, tmp_
     publisher = node.create_publisher(String, "plain", STREAM)
     stage.add(node)
     code = (
-        "from sugiyama_ros.nodes.recorder import Recorder, main\n"
+        "from sugiyama_ros.nodes.recorder import Recorder\nfrom sugiyama_ros.nodes.base.spin import run_node\n"
         "def hang(self):\n"
         "    while True: pass\n"
         "Recorder.destroy_node = hang\n"
-        "main()"
+        "run_node(Recorder)"
     )
     child = subprocess.Popen([sys.executable, "-c", code, "--ros-args", "-p", f"output:={output}"])
     try:

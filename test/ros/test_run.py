@@ -15,12 +15,12 @@ from sugiyama_ros.errors import InputError, OutputError, SugiyamaError
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.formats.truth import namespaces, read_truth
-from sugiyama_ros.nodes import recorder, runners, source
+from sugiyama_ros.nodes import recorder, source
 from sugiyama_ros.nodes.base.node import PacedNode
+from sugiyama_ros.nodes.driver import Follower
 from sugiyama_ros.nodes.estimator import Estimator
-from sugiyama_ros.nodes.follower import Follower
+from sugiyama_ros.nodes.plan import FromSimulator
 from sugiyama_ros.nodes.run import RunResult, run
-from sugiyama_ros.nodes.run_source import FromSimulator
 from sugiyama_ros.simulation.experiment import Experiment
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
@@ -183,7 +183,7 @@ def test_an_estimator_that_stops_is_left_behind(
 ) -> None:
     monkeypatch.setattr(source, "PATIENCE_S", 2.0)  # a node that is well tells how far it is at least once a second
     monkeypatch.setattr(recorder, "PATIENCE_S", 1.0)
-    monkeypatch.setattr(runners, "STOP_S", 1.0)
+    monkeypatch.setattr(sys.modules[run.__module__], "STOP_S", 1.0)
     take_in, beat = Estimator.take_in, PacedNode.beat
 
     def is_stuck(node: PacedNode) -> bool:

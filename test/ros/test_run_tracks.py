@@ -18,9 +18,8 @@ from sugiyama_ros.nodes.base.spin import Spinner
 from sugiyama_ros.nodes.critic import Critic
 from sugiyama_ros.nodes.drivers import DriversNode
 from sugiyama_ros.nodes.plan import MOST_NODES, RunSettings
-from sugiyama_ros.nodes.replay import Replay
+from sugiyama_ros.nodes.replay import Replay, TrackSamples
 from sugiyama_ros.nodes.run import run
-from sugiyama_ros.nodes.track_samples import TrackSamples
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 

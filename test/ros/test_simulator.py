@@ -15,8 +15,8 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.truth import read_truth
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.estimator import Estimator
+from sugiyama_ros.nodes.plan import FromSimulator
 from sugiyama_ros.nodes.run import run
-from sugiyama_ros.nodes.run_source import FromSimulator
 from sugiyama_ros.nodes.simulator import SimulatorNode
 from sugiyama_ros.page.truth import against_truth
 from sugiyama_ros.simulation.experiment import Experiment

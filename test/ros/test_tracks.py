@@ -105,7 +105,7 @@ def check_drivers(heard: list[DriverArray], node: DriversNode) -> None:
     assert came[5] in (7, 8)
     last = heard[-1]
     assert sorted(last.vehicle) == [1, 2, 4, 5]  # car 3 left at 13 s
-    assert set(node.in_view) == {1, 2, 4, 5}
+    assert set(node.drivers) == {1, 2, 4, 5}
     names, estimated = list(last.name), np.flatnonzero(last.estimated)
     adapted = [names[k] for k in estimated]
     identified = np.reshape(last.identified, (len(last.vehicle), len(adapted)))

@@ -8,7 +8,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sugiyama_msgs.msg import DriverArray, Innovation, MeasuredPositions, Road, VehicleState, Verdict
 
 from sugiyama_ros.formats.measured import FRAME
-from sugiyama_ros.nodes import effect_services
+from sugiyama_ros.nodes.base import node as base_node
 from sugiyama_ros.nodes.base.qos import STREAM
 from sugiyama_ros.nodes.view import View
 from sugiyama_ros.page import live
@@ -113,7 +113,7 @@ def test_an_effect_that_nobody_takes_is_not_added_and_nothing_waits(stage, monke
     message.header.frame_id = FRAME
     to_measured.publish(message)
     stage.until(lambda: len(view.vehicles) == 30)
-    monkeypatch.setattr(effect_services, "_READY_S", 3600.0)
+    monkeypatch.setattr(base_node, "_READY_S", 3600.0)
     view.add("drag", "c0=0.1")
     assert view.said == "30 of 30 services are not there: /vehicle_00/estimator/add_effect ..."
     assert view.added == ()

@@ -33,7 +33,7 @@ from sugiyama_ros.formats.recover import recover
 from sugiyama_ros.formats.registry import tracks_of
 from sugiyama_ros.formats.tracks_parquet import write_tracks
 from sugiyama_ros.formats.truth import write_simulated
-from sugiyama_ros.nodes.saved_state import Kept, write_learnt
+from sugiyama_ros.nodes.keeper import Kept, write_learnt
 from sugiyama_ros.outputs import Output, Target, output_of, writing
 from sugiyama_ros.page.figures import write_figures
 from sugiyama_ros.page.recording import read_recording
@@ -50,7 +50,7 @@ OTHERS = {
     "outputs.py",
     "cli/__init__.py",
     "formats/mcap_records.py",
-    "nodes/runners.py",
+    "nodes/run.py",
 }
 
 
@@ -169,7 +169,7 @@ PLACES = {
     "formats/recover.py": "recover",
     "formats/tracks_parquet.py": "parquet",
     "fit/model_file.py": "model",
-    "nodes/saved_state.py": "state",
+    "nodes/keeper.py": "state",
     "page/figures.py": "pages and figures",
     "page/report.py": "pages and figures",
     "results.py": "result.csv",

@@ -6,36 +6,47 @@ functions here read and write the same bytes as rclpy does; a test compares them
 
 import struct
 from array import array
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from rclpy.serialization import serialize_message
-from sugiyama_msgs.msg import DriverParameters, DriverType, StyleChange
+from sugiyama_msgs.msg import DriverArray, DriverParameters
 
-from sugiyama_ros.arrays import Array, Mask
+from sugiyama_ros.arrays import Array, Mask, selection
 from sugiyama_ros.filters.online import Estimate
 from sugiyama_ros.formats.measured import FRAME
-from sugiyama_ros.nodes.base.samples import Positions
+from sugiyama_ros.nodes.base.samples import Positions, Sample
 
 NS = 1_000_000_000
-#: Length [m] that no vehicle has.
-LONGEST_M = 1000.0
 
 # Encapsulation (CDR, little endian); stamp, frame, vehicle; then the fields, which need no further alignment.
 _HEAD = "<4s i I I 5s 3x i"
 _ENCAPSULATION = b"\0\1\0\0"
 _FRAME_BYTES = FRAME.encode() + b"\0"
 _CLOCK = struct.Struct("<4s i I")
-_MARK = 1.2345678901234567e-300
 # types of the sequences of MeasuredPositions that may be empty or absent
 _OPTIONAL = ("<i4", "<f8", "<f8", "<f8")
 # the covariance as the bytes of its nine numbers
 _STATE = struct.Struct(_HEAD + "3d 72s 3d")
 _INNOVATION = struct.Struct(_HEAD + "4d ?")
+# Fields with one number for each driver, named as in an estimate.
+_NUMBERS = tuple(name for name in Estimate._fields if name not in ("covariance", "scored"))
+#: Fields whose numbers have seven digits, so that a recording is smaller by a quarter.
+SEVEN_DIGITS = frozenset(
+    {
+        "state_covariance",
+        "acceleration",
+        "mean_action",
+        "approach_rate",
+        "innovation_var",
+        "log_likelihood",
+        "parameter_covariance",
+    }
+)
 # what is read of many innovations, in the layout of _INNOVATION
 _READ = np.dtype(
     {
@@ -45,43 +56,6 @@ _READ = np.dtype(
         "itemsize": _INNOVATION.size,
     }
 )
-
-
-class Sample(NamedTuple):
-    """A MeasuredPositions message: lists with one entry for each vehicle; ``place`` is the entry of each number.
-
-    From ``lane`` on, the sequences are empty where the source does not know them.
-    """
-
-    stamp_ns: int
-    step: int
-    leader: list[int]
-    position_m: list[float]
-    length_m: list[float]
-    place: dict[int, int]
-    lane: Sequence[int] = ()
-    d_m: Sequence[float] = ()
-    stamp_offset_s: Sequence[float] = ()
-    position_var: Sequence[float] = ()
-
-    def chain(self, vehicle: int, length: int) -> list[int]:
-        """``length`` numbers: ``vehicle``, its leader, the leader's leader and so on; -1 where there is none."""
-        numbers = [vehicle]
-        while len(numbers) < length:
-            place = self.place.get(numbers[-1])
-            leader = -1 if place is None else self.leader[place]
-            # on a ring with few vehicles, the chain ends before it comes back to the first vehicle
-            numbers.append(-1 if leader in numbers else leader)
-        return numbers
-
-    def known_length_m(self, place: int) -> float:
-        """Length [m] of the vehicle at a place; 0 if what was sent is no length."""
-        length_m = self.length_m[place]
-        return length_m if 0.0 <= length_m < LONGEST_M else 0.0
-
-    def behind(self, vehicle: int) -> int:
-        """Number of the vehicle whose leader is ``vehicle``; -1 if there is none."""
-        return next((number for number, place in self.place.items() if self.leader[place] == vehicle), -1)
 
 
 def measured(raw: bytes) -> Sample:
@@ -168,30 +142,6 @@ def innovation(stamp_ns: int, vehicle: int, estimate: Estimate) -> bytes:
     )
 
 
-def read_state(raw: bytes) -> tuple[float, int, float, float, float]:
-    """Time [s], vehicle, position [m], speed [m/s] and its variance of a VehicleState from an estimator."""
-    _, sec, nanosec, _, _, vehicle, position, speed, _, covariance, *_ = _unpacked(_STATE, raw)
-    (speed_var,) = struct.unpack_from("<d", covariance, 4 * 8)
-    return sec + 1e-9 * nanosec, vehicle, position, speed, speed_var
-
-
-class ReadInnovation(NamedTuple):
-    """What is read of an Innovation: time [s], vehicle, the innovation [m], its variance [m^2], nis, and scored."""
-
-    time_s: float
-    vehicle: int
-    innovation_m: float
-    innovation_var: float
-    nis: float
-    scored: bool
-
-
-def read_innovation(raw: bytes) -> ReadInnovation:
-    """Read an Innovation from an estimator."""
-    _, sec, nanosec, _, _, vehicle, value, variance, nis, _, scored = _unpacked(_INNOVATION, raw)
-    return ReadInnovation(sec + 1e-9 * nanosec, vehicle, value, variance, nis, scored)
-
-
 def read_innovations(messages: Iterable[bytes]) -> NDArray[np.void]:
     """Read many Innovations at once: ``vehicle``, ``innovation_m``, ``nis`` and ``scored`` of those from estimators."""
     size = _INNOVATION.size
@@ -201,53 +151,124 @@ def read_innovations(messages: Iterable[bytes]) -> NDArray[np.void]:
     return found[is_known]
 
 
-def style_change(stamp_ns: int, vehicle: int, name: str, factor: float) -> bytes:
-    """A StyleChange message."""
-    message = StyleChange(vehicle=vehicle, name=name, factor=factor)
-    message.header.frame_id = FRAME
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, NS)
-    return bytes(serialize_message(message))
+class _Template:
+    """The bytes of a message, made once; lists of numbers are filled in each time."""
 
-
-def driver_type(stamp_ns: int, vehicle: int, probability: Array) -> bytes:
-    """A DriverType message."""
-    message = DriverType(vehicle=vehicle, probability=probability.tolist())
-    message.header.frame_id = FRAME
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, NS)
-    return bytes(serialize_message(message))
-
-
-class Parameters:
-    """DriverParameters messages of one driver; the bytes are made once and filled with new numbers each time."""
-
-    def __init__(self, vehicle: int, names: Sequence[str], adapted: Sequence[str]) -> None:
-        count = len(names)
-        message = DriverParameters(vehicle=vehicle, name=names, estimated=[name in adapted for name in names])
+    def __init__(self, message: Any, sizes: Mapping[str, int]) -> None:
+        """sizes: number of entries of each list of numbers."""
         message.header.frame_id = FRAME
         # special values, which nothing else in the message has, show where the numbers stand
-        message.value, message.covariance = array("d", [_MARK] * count), array("d", [2.0 * _MARK] * count * count)
-        message.identified = [False] * count
-        self._bytes = bytearray(serialize_message(message))
-        self._value_at = self._bytes.index(struct.pack("<d", _MARK))
-        self._covariance_at = self._bytes.index(struct.pack("<d", 2.0 * _MARK))
-        # after the covariance comes the number of the last field's entries, a byte each
-        self._identified_at = self._covariance_at + 8 * count * count + 4
+        marks = {name: float(k) * 1.2345678901234567e-300 for k, name in enumerate(sizes, 1)}
+        for name, size in sizes.items():
+            setattr(message, name, array("d", [marks[name]] * size))
+        self.bytes = bytearray(serialize_message(message))
+        self._at = {name: self.bytes.find(struct.pack("<d", mark)) for name, mark in marks.items()}
+        # flags that follow a list have their number of entries and then a byte for each of them
+        self._behind = {name: self._at[name] + 8 * size + 4 for name, size in sizes.items()}
+
+    def stamp(self, stamp_ns: int) -> None:
+        """Fill in the stamp [ns]."""
+        struct.pack_into("<iI", self.bytes, 4, *divmod(stamp_ns, NS))
+
+    def put(self, name: str, content: bytes) -> None:
+        """Fill in a list of numbers."""
+        self.bytes[self._at[name] : self._at[name] + len(content)] = content
+
+    def put_behind(self, name: str, flags: bytes) -> None:
+        """Fill in the flags that follow a list."""
+        self.bytes[self._behind[name] : self._behind[name] + len(flags)] = flags
+
+
+class ParametersWriter:
+    """DriverParameters messages of one driver."""
+
+    def __init__(self, vehicle: int, names: Sequence[str], adapted: Sequence[str]) -> None:
+        count, estimated = len(names), [name in adapted for name in names]
+        message = DriverParameters(vehicle=vehicle, name=names, estimated=estimated, identified=[False] * count)
+        self._template = _Template(message, {"value": count, "covariance": count * count})
 
     def message(self, stamp_ns: int, value: Array, covariance: Array, identified: Mask) -> bytes:
         """Bytes of a message with ``value`` (P,), ``covariance`` (P, P) and ``identified`` (P,)."""
-        struct.pack_into("<iI", self._bytes, 4, *divmod(stamp_ns, NS))
-        filled = (self._value_at, value), (self._covariance_at, covariance), (self._identified_at, identified)
-        for at, numbers in filled:
-            self._bytes[at : at + numbers.nbytes] = numbers.tobytes()
-        return bytes(self._bytes)
+        template = self._template
+        template.stamp(stamp_ns)
+        template.put("value", value.tobytes())
+        template.put("covariance", covariance.tobytes())
+        template.put_behind("covariance", identified.tobytes())
+        return bytes(template.bytes)
 
 
-def _unpacked(layout: struct.Struct, raw: bytes) -> tuple[Any, ...]:
-    """Fields of a message from an estimator. Raises ValueError or struct.error for bytes of another kind."""
-    found = layout.unpack_from(raw)
-    if (found[0], found[4]) != (_ENCAPSULATION, _FRAME_BYTES):
-        raise ValueError("is no message of an estimator")
-    return found
+class ParameterNames(NamedTuple):
+    """Names of a driver's parameters, and of the parameters among them that the filter adapts, in the same order."""
+
+    shown: tuple[str, ...]
+    adapted: tuple[str, ...]
+
+
+class KnownDriver(NamedTuple):
+    """What a filter knows of its driver after a sample.
+
+    vehicle: number of the driver's vehicle; estimate: state and innovation; names: names of P parameters, A of them
+    adapted; value: (P,), the parameters [SI]; covariance: (A, A), covariance of the adapted parameters; identified:
+    whether the samples so far determine the parameter.
+    """
+
+    vehicle: int
+    estimate: Estimate
+    names: ParameterNames
+    value: Array
+    covariance: Array
+    identified: Mask
+
+
+class ArrayWriter:
+    """DriverArray messages of the same drivers, at least one, in this order; they may have different parameters."""
+
+    def __init__(self, drivers: Sequence[KnownDriver]) -> None:
+        self._of = [(driver.vehicle, driver.names) for driver in drivers]
+        shown = list(dict.fromkeys(name for driver in drivers for name in driver.names.shown))
+        adapted = [name for name in shown if any(name in driver.names.adapted for driver in drivers)]
+        count, self._value = len(drivers), np.full((len(drivers), len(shown)), np.nan)
+        self._covariance = np.zeros((count, len(adapted), len(adapted)))
+        self._identified = np.zeros((count, len(adapted)), np.bool_)
+        self._shown = [selection([shown.index(name) for name in driver.names.shown]) for driver in drivers]
+        at = [selection([adapted.index(name) for name in driver.names.adapted]) for driver in drivers]
+        self._adapted = [(k, (k, k) if isinstance(k, slice) else np.ix_(k, k)) for k in at]
+        self._numbers = struct.Struct(f"<{count}d")
+        message = DriverArray(vehicle=[vehicle for vehicle, _ in self._of], name=shown)
+        message.estimated = [name in adapted for name in shown]
+        message.scored, message.identified = [False] * count, [False] * self._identified.size
+        sizes = dict.fromkeys(_NUMBERS, count) | {"state_covariance": 9 * count, "value": self._value.size}
+        self._template = _Template(message, sizes | {"parameter_covariance": self._covariance.size})
+
+    def fits(self, drivers: Sequence[KnownDriver]) -> bool:
+        """Whether the drivers are the ones of this layout, with the same parameters."""
+        return self._of == [(driver.vehicle, driver.names) for driver in drivers]
+
+    def message(self, stamp_ns: int, drivers: Sequence[KnownDriver]) -> bytes:
+        """Bytes of the message about drivers that fit, at a stamp [ns]."""
+        template = self._template
+        template.stamp(stamp_ns)
+        columns = dict(zip(Estimate._fields, zip(*(driver.estimate for driver in drivers), strict=True), strict=True))
+        for name in _NUMBERS:
+            numbers = columns[name]
+            template.put(name, _seven_digits(numbers) if name in SEVEN_DIGITS else self._numbers.pack(*numbers))
+        template.put("state_covariance", _seven_digits(columns["covariance"]))
+        template.put_behind("log_likelihood", bytes(columns["scored"]))
+        for k, driver in enumerate(drivers):
+            places, block = self._adapted[k]
+            self._value[k, self._shown[k]] = driver.value
+            self._covariance[k][block] = driver.covariance
+            self._identified[k, places] = driver.identified
+        template.put("value", self._value.tobytes())
+        template.put("parameter_covariance", _seven_digits(self._covariance))
+        template.put_behind("parameter_covariance", self._identified.tobytes())
+        return bytes(template.bytes)
+
+
+def _seven_digits(numbers: ArrayLike) -> bytes:
+    """Bytes of numbers as float64 whose digits beyond those of a float32 are 0, which compress well."""
+    with np.errstate(over="ignore"):
+        return np.asarray(numbers, dtype=np.float32).astype(np.float64).tobytes()
 
 
 def _head(stamp_ns: int, vehicle: int) -> tuple[bytes, int, int, int, bytes, int]:

@@ -6,19 +6,21 @@ decodes them and raises `RefusedError` if they are no valid message.
 
 import struct
 import traceback
-from collections.abc import Callable, Sequence
-from functools import lru_cache
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache, lru_cache, partial
+from importlib import import_module
 from math import isfinite, nan
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rclpy.serialization import deserialize_message
-from sugiyama_msgs.msg import DriverArray, DriverParameters, Progress, StyleChange, Verdict
+from rosidl_parser.definition import AbstractSequence, AbstractString, Array, BasicType, NamespacedType
+from sugiyama_msgs.msg import DriverArray, DriverParameters, MeasuredPositions, Verdict
 from sugiyama_msgs.msg import Road as RoadMessage
 
-from sugiyama_ros.nodes.base import cdr_lengths, cdr_messages
-from sugiyama_ros.nodes.base.cdr_messages import Sample
+from sugiyama_ros.nodes.base import cdr_messages
+from sugiyama_ros.nodes.base.samples import Sample
 
 #: Steps of a recording, at most; counts of steps stay exact in a double.
 MOST_STEPS = 1 << 53
@@ -30,6 +32,15 @@ MOST_OFFSET_S = 60.0
 _ENCAPSULATION = 4
 # Characters of a reason; names from messages may be in it.
 _LONGEST_REASON = 500
+# Bytes of the basic types of CDR.
+_SIZES = {
+    **dict.fromkeys(("boolean", "octet", "char", "uint8", "int8"), 1),
+    **dict.fromkeys(("int16", "uint16", "wchar"), 2),
+    **dict.fromkeys(("int32", "uint32", "float"), 4),
+    **dict.fromkeys(("int64", "uint64", "double"), 8),
+}
+# Moves on from an offset, over one value.
+_Skip = Callable[[memoryview, int], int]
 
 
 class RefusedError(ValueError):
@@ -40,12 +51,13 @@ class RefusedError(ValueError):
 
 
 def receiver(
-    decode: Callable[[bytes], Any], take: Callable[[Any], None], refuse: Callable[[RefusedError], None]
+    kind: type, take: Callable[[Any], None], refuse: Callable[[RefusedError], None] = lambda reason: None
 ) -> Callable[[bytes], None]:
-    """Make the callback of a subscription to bytes. Whatever a message says, the node goes on.
+    """Make the callback of a subscription to the bytes of a class of messages. Whatever they say, the node goes on.
 
-    refuse: gets the reason for each other one, and for a message that ``take`` fails on.
+    refuse: gets the reason for each message that is not valid, and for each message that ``take`` fails on.
     """
+    decode = decoder(kind)
 
     def receive(raw: bytes) -> None:
         try:
@@ -59,6 +71,11 @@ def receiver(
             refuse(unusable(error))
 
     return receive
+
+
+def decoder(kind: type) -> Callable[[bytes], Any]:
+    """What decodes and checks messages of a class."""
+    return _DECODERS.get(kind) or partial(decoded, kind=kind)
 
 
 def unusable(error: Exception) -> RefusedError:
@@ -113,11 +130,6 @@ def sample(raw: bytes) -> Sample:
     )
 
 
-def progress(raw: bytes) -> Progress:
-    """Decode a Progress. Raises RefusedError."""
-    return decoded(raw, Progress)
-
-
 def parameters(raw: bytes) -> DriverParameters:
     """Decode DriverParameters. Raises RefusedError for uneven arrays, or estimates that are not positive numbers."""
     message = decoded(raw, DriverParameters)
@@ -146,16 +158,6 @@ def verdict(raw: bytes) -> Verdict:
     return message
 
 
-def state(raw: bytes) -> tuple[float, int, float, float, float]:
-    """Decode a VehicleState from an estimator, as ``cdr_messages.read_state``. Raises RefusedError."""
-    return _read(raw, cdr_messages.read_state)
-
-
-def style_change(raw: bytes) -> StyleChange:
-    """Decode a StyleChange. Raises RefusedError."""
-    return decoded(raw, StyleChange)
-
-
 def drivers(raw: bytes) -> DriverArray:
     """Decode a DriverArray. Raises RefusedError for uneven arrays, or without the parameters that every driver has."""
     message = decoded(raw, DriverArray)
@@ -166,28 +168,11 @@ def drivers(raw: bytes) -> DriverArray:
     return message
 
 
-def innovation(raw: bytes) -> cdr_messages.ReadInnovation:
-    """Decode an Innovation from an estimator, as ``cdr_messages.read_innovation``. Raises RefusedError."""
-    return _read(raw, cdr_messages.read_innovation)
-
-
-def effect_values(effect: str, names: Sequence[str], values: Sequence[float]) -> dict[str, float]:
-    """Values of an effect's parameters, by name, from a request. Raises RefusedError for uneven or repeated names."""
-    return named_values(f"effect {effect}", names, values)
-
-
 def named_values(what: str, names: Sequence[str], values: Sequence[float]) -> dict[str, float]:
     """Values of something by name, from a request. Raises RefusedError for uneven or repeated names."""
     if len(names) != len(values) or len(set(names)) != len(names):
         raise RefusedError(f"{what}: {len(names)} names, {len(values)} values; give each name one value")
     return dict(zip(names, values, strict=True))
-
-
-def _read(raw: bytes, read: Callable[[bytes], Any]) -> Any:
-    try:
-        return read(raw)
-    except (ValueError, struct.error) as error:
-        raise RefusedError(str(error)) from None
 
 
 def decoded(raw: bytes, kind: type) -> Any:
@@ -196,7 +181,81 @@ def decoded(raw: bytes, kind: type) -> Any:
     if raw[:2] not in (b"\0\0", b"\0\1") or len(raw) <= _ENCAPSULATION:
         raise RefusedError("is not in plain CDR")
     try:
-        cdr_lengths.check(memoryview(raw)[_ENCAPSULATION:], kind, "<" if raw[1] else ">")
+        _lengths(kind, "<" if raw[1] else ">")(memoryview(raw)[_ENCAPSULATION:], 0)
         return deserialize_message(raw, kind)
     except Exception:  # the middleware's own class, which it does not export
         raise RefusedError(f"cannot be decoded as {kind.__name__}") from None
+
+
+_DECODERS: Mapping[type, Callable[[bytes], Any]] = {
+    RoadMessage: road,
+    MeasuredPositions: sample,
+    DriverParameters: parameters,
+    DriverArray: drivers,
+    Verdict: verdict,
+}
+
+
+@cache
+def _lengths(kind: Any, order: str) -> _Skip:
+    """What checks whether the lengths that a message claims fit into its bytes. It raises ValueError.
+
+    The middleware makes room for everything that a message claims before it reads it: 60 bytes that claim 2**28 texts
+    take 11 GB. So this is checked first.
+    """
+    fields = [_skip(one, order) for one in kind.SLOT_TYPES]
+
+    def skip(body: memoryview, at: int) -> int:
+        for field in fields:
+            at = field(body, at)
+        return at
+
+    return skip
+
+
+def _skip(kind: Any, order: str) -> _Skip:
+    """What moves over one value of a type."""
+    if isinstance(kind, BasicType):
+        return _elements(_SIZES[kind.typename], 1)
+    if isinstance(kind, AbstractString):
+        return lambda body, at: _elements(1, _length(order, body, at))(body, _aligned(at, 4) + 4)
+    if isinstance(kind, NamespacedType):
+        return _lengths(getattr(import_module(".".join(kind.namespaces)), kind.name), order)
+    element = kind.value_type
+    size = _SIZES[element.typename] if isinstance(element, BasicType) else 0
+    one = _skip(element, order)
+
+    def several(body: memoryview, at: int, count: int) -> int:
+        if size:
+            return _elements(size, count)(body, at)
+        if count > len(body) - at:
+            raise ValueError(f"claims {count} elements")
+        for _ in range(count):
+            at = one(body, at)
+        return at
+
+    if isinstance(kind, Array):
+        return lambda body, at: several(body, at, kind.size)
+    assert isinstance(kind, AbstractSequence)
+    return lambda body, at: several(body, _aligned(at, 4) + 4, _length(order, body, at))
+
+
+def _elements(size: int, count: int) -> _Skip:
+    def skip(body: memoryview, at: int) -> int:
+        end = _aligned(at, size) + count * size if count else at
+        if end > len(body):
+            raise ValueError(f"claims {end} bytes, has {len(body)}")
+        return end
+
+    return skip
+
+
+def _aligned(at: int, size: int) -> int:
+    return -(-at // size) * size
+
+
+def _length(order: str, body: memoryview, at: int) -> int:
+    try:
+        return int(struct.unpack_from(f"{order}I", body, _aligned(at, 4))[0])
+    except struct.error:
+        raise ValueError("is cut off") from None

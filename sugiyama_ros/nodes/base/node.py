@@ -3,12 +3,14 @@
 import re
 import time
 from array import array
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.client import Client
 from rclpy.clock import Clock, ClockType, JumpHandle, JumpThreshold
 from rclpy.duration import Duration
 from rclpy.exceptions import (
@@ -20,14 +22,13 @@ from rclpy.exceptions import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 from sugiyama_msgs.msg import Progress
 
 from sugiyama_ros.errors import InputError, SugiyamaError
-from sugiyama_ros.nodes.base.any_publisher import AnyPublisher
 from sugiyama_ros.nodes.base.incoming import receiver, unusable
 from sugiyama_ros.nodes.base.qos import PROGRESS_OUT, STREAM, WINDOW
 
@@ -35,10 +36,14 @@ from sugiyama_ros.nodes.base.qos import PROGRESS_OUT, STREAM, WINDOW
 RECORDER = "recorder"
 UNRECORDED = ("/parameter_events",)
 _BEAT_S = 0.1
+_LOOK_S = 0.5
+# Time [s] in which services that are there answer, all together.
+_READY_S, _READY_LOOK_S = 1.0, 0.01
 _REPORT_S = 1.0
 _RECEIVED_S = 5.0
 # What a parameter of a type is called.
 _KINDS = {float: "a number", int: "a whole number", bool: "true or false", str: "a text"}
+_VOLATILE, _BEST_EFFORT = QoSDurabilityPolicy.VOLATILE, QoSReliabilityPolicy.BEST_EFFORT
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
@@ -48,6 +53,50 @@ class Health(NamedTuple):
     level: bytes
     message: str
     values: Mapping[str, object] = {}
+
+
+class AnyPublisher:
+    """Subscribes to the bytes of a topic, and asks for no more than all its publishers offer.
+
+    At first the subscription asks for what is ``wanted``. A publisher that offers less, such as a sensor's, would never
+    be heard; as soon as there is one, the subscription asks for less too.
+    """
+
+    def __init__(
+        self, node: Node, kind: type, topic: str, callback: Callable[[bytes], None], wanted: QoSProfile
+    ) -> None:
+        self._node, self._kind, self._topic, self._callback = node, kind, topic, callback
+        self._wanted = wanted
+        self._asked = (wanted.reliability, wanted.durability)
+        self._subscription = node.create_subscription(kind, topic, callback, wanted, raw=True)
+        self._timer = node.create_timer(_LOOK_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def close(self) -> None:
+        """Subscribe no longer."""
+        self._node.destroy_timer(self._timer)
+        self._node.destroy_subscription(self._subscription)
+
+    def _look(self) -> None:
+        """Subscribe anew if a publisher offers less than was asked for."""
+        name = self._subscription.topic_name
+        if self._node.count_publishers(name) <= self._subscription.get_publisher_count():
+            return
+        offered = [info.qos_profile for info in self._node.get_publishers_info_by_topic(name)]
+        reliability, durability = self._asked
+        if any(one.reliability == _BEST_EFFORT for one in offered):
+            reliability = _BEST_EFFORT
+        if any(one.durability == _VOLATILE for one in offered):
+            durability = _VOLATILE
+        if (reliability, durability) == self._asked:
+            return
+        self._asked = reliability, durability
+        if reliability == _BEST_EFFORT:
+            self._node.get_logger().warning(f"{name}: a publisher offers best effort only, so samples may be lost")
+        profile = QoSProfile(
+            history=self._wanted.history, depth=self._wanted.depth, reliability=reliability, durability=durability
+        )
+        self._node.destroy_subscription(self._subscription)
+        self._subscription = self._node.create_subscription(self._kind, self._topic, self._callback, profile, raw=True)
 
 
 class PacedNode(Node):
@@ -101,6 +150,24 @@ class PacedNode(Node):
         except ParameterException as error:
             raise InputError(str(error)) from None
 
+    def option(self, name: str, default: Any, description: str, bounds: tuple[float, float] | None = None) -> Any:
+        """Declare a parameter that is given at the start, within bounds if it is a number, and return its value."""
+        about = ParameterDescriptor(description=description, read_only=True)
+        if bounds is not None and isinstance(default, int):
+            about.integer_range = [IntegerRange(from_value=bounds[0], to_value=bounds[1])]
+        elif bounds is not None:
+            about.floating_point_range = [FloatingPointRange(from_value=bounds[0], to_value=bounds[1])]
+        return self.declare_parameter(name, default, about).value
+
+    def path(self, name: str, description: str) -> Path | None:
+        """Declare a parameter that names a file or a directory; None if it is empty."""
+        given = str(self.option(name, "", description))
+        return Path(given) if given else None
+
+    def texts(self, name: str, description: str) -> list[str]:
+        """Declare a parameter with a list of texts, and return those that are not empty."""
+        return [str(text) for text in self.option(name, [""], description) if text]
+
     def set_parameters(self, parameter_list: list[Parameter]) -> list[SetParametersResult]:
         """Set parameters, each on its own. Where a real number is expected, a whole number will do."""
         return super().set_parameters([self._as_declared(p) for p in parameter_list])
@@ -139,12 +206,14 @@ class PacedNode(Node):
         publisher.publish(message)
         self.published += 1
 
-    def listen(
-        self, kind: type, topic: str, decode: Callable[[bytes], Any], take: Callable[[Any], None], qos: QoSProfile
-    ) -> Subscription:
-        """Subscribe to a topic. A message that ``decode`` refuses is counted and dropped."""
-        callback = receiver(decode, take, partial(self.refuse, topic))
+    def listen(self, kind: type, topic: str, take: Callable[[Any], None], qos: QoSProfile) -> Subscription:
+        """Subscribe to a topic. A message that is not valid is counted and dropped."""
+        callback = receiver(kind, take, partial(self.refuse, topic))
         return self.create_subscription(kind, topic, callback, qos, raw=True)
+
+    def hear(self, kind: type, topic: str, take: Callable[[Any], None], qos: QoSProfile) -> AnyPublisher:
+        """Subscribe as `listen` does, also to publishers that offer less than ``qos``, such as those of a sensor."""
+        return AnyPublisher(self, kind, topic, receiver(kind, take, partial(self.refuse, topic)), qos)
 
     def create_service(
         self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any
@@ -168,12 +237,6 @@ class PacedNode(Node):
             if hasattr(refused, "message"):
                 refused.message = str(reason)
             return refused
-
-    def hear(
-        self, kind: type, topic: str, decode: Callable[[bytes], Any], take: Callable[[Any], None], qos: QoSProfile
-    ) -> AnyPublisher:
-        """Subscribe as `listen` does, also to publishers that offer less than ``qos``, such as those of a sensor."""
-        return AnyPublisher(self, kind, topic, receiver(decode, take, partial(self.refuse, topic)), qos)
 
     def on_clock_jump(self, callback: Callable[[], None]) -> None:
         """Call back when the time of the recording, /clock, has jumped back; nothing happens on the system's clock."""
@@ -276,6 +339,29 @@ class PacedNode(Node):
         self._told, self._told_s = (self.steps, self.published, self.is_recorded), time.monotonic()
         self._progress.steps, self._progress.published, self._progress.recorded = self._told
         self._to_progress.publish(self._progress)
+
+
+def clients_of(node: Node, kind: type, services: Iterable[str]) -> tuple[list[Client], list[str]]:
+    """Make clients of services, and name the services that no node of the graph offers; nothing waits for those.
+
+    Who has called a client destroys it.
+    """
+    offered = {name for name, _ in node.get_service_names_and_types()}
+    wanted = list(services)
+    waiting = [node.create_client(kind, name) for name in wanted if name in offered]
+    ready: list[Client] = []
+    end = time.monotonic() + _READY_S
+    while waiting:
+        ready += [client for client in waiting if client.service_is_ready()]
+        waiting = [client for client in waiting if client not in ready]
+        if time.monotonic() > end:
+            break
+        if waiting:
+            time.sleep(_READY_LOOK_S)
+    for client in waiting:
+        node.destroy_client(client)
+    found = {client.srv_name for client in ready}
+    return ready, [name for name in wanted if name not in found]
 
 
 def _out_of_bounds(name: str, about: Sequence[Any]) -> str:

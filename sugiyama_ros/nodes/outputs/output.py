@@ -1,18 +1,26 @@
-"""What an output is: a standard message of each driver, made of what the driver's filter knows."""
+"""Standard messages of each driver, made of what the filter knows, and the parameter that chooses among them."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import cos, pi, remainder, sin
+from importlib import import_module
+from math import cos, isnan, pi, remainder, sin
 from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Point, Pose, PoseWithCovariance, Quaternion
 
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.filters.chain import CHAIN
+from sugiyama_ros.filters.online import Estimate
+from sugiyama_ros.formats.centre_line import read_lanes
 from sugiyama_ros.formats.measured import FRAME
-from sugiyama_ros.nodes.prediction import Prediction
+from sugiyama_ros.nodes.base.cdr_messages import NS
+from sugiyama_ros.nodes.base.node import PacedNode
+from sugiyama_ros.nodes.driver import VEHICLES, Follower, Prediction
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.centre_line import CentreLine
 
+_MODULES = ("odometry", "predicted_path", "predicted_odometry")
 #: Variance of what the filter does not know, such as height and roll [SI]: not 0, which would mean that it is exact.
 UNKNOWN_VAR = 1e6
 # Std [rad] of the direction of a vehicle around that of the road: who changes lane at 10 m/s moves aside at 1 m/s.
@@ -20,18 +28,9 @@ _ASIDE_STD = 0.1
 
 
 class Places:
-    """Where positions along the road lie in the plane.
+    """Where positions along the road lie in the plane, ``frame``.
 
     Without a centre line, a ring is a circle around the origin, as in ``markers``, and an open road is the x axis.
-
-    Parameters
-    ----------
-    road : Road
-        The road.
-    line : CentreLine, optional
-        Its centre line.
-    frame : str
-        Frame of the plane.
     """
 
     def __init__(self, road: Road, line: CentreLine | None = None, frame: str = FRAME) -> None:
@@ -73,10 +72,7 @@ class Places:
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """What is known of a driver after a sample.
-
-    stamp_ns: of the sample; vehicle: number; path: states of now and of the next seconds; places: of the road.
-    """
+    """What is known of a driver after a sample; path: states of now and of the next seconds."""
 
     stamp_ns: int
     vehicle: int
@@ -107,3 +103,53 @@ class DriverOutput:
     messages: Callable[[Known], Sequence[Any]]
     every_s: float = 0.0
     ahead_s: float = 0.0
+
+
+class StandardTopics:
+    """Publishes what the parameter ``publish`` asks for, of each driver, on topics such as ``vehicle_07/odometry``."""
+
+    def __init__(self, node: PacedNode) -> None:
+        self._node = node
+        names = node.texts("publish", f"standard messages of each driver to publish: {', '.join(_MODULES)}")
+        for name in names:
+            if name not in _MODULES:
+                raise InputError(f"publish: {name!r} is not known; give {', '.join(_MODULES)}")
+        self.outputs: list[DriverOutput] = []
+        try:
+            # their messages need not be installed where nobody asks for them
+            self.outputs = [import_module(f"sugiyama_ros.nodes.outputs.{name}").OUTPUT for name in names]
+        except ImportError as error:
+            raise InputError(f"publish: {error}; install this package of messages") from None
+        file = node.path("centre_line", "centre lines of the lanes (CSV), for published poses")
+        self._line: CentreLine | None = None if file is None else read_lanes(file).lines[0]
+        self._frame = str(node.option("frame", "road", "frame of published poses"))
+        self._told_ns: dict[tuple[int, str], int] = {}
+
+    @property
+    def vehicles(self) -> int:
+        """Vehicles that a driver's filter needs in its chain: more where a path is predicted."""
+        return VEHICLES if any(one.ahead_s > 0.0 for one in self.outputs) else CHAIN
+
+    def publish(self, road: Road, follower: Follower, estimate: Estimate, stamp_ns: int, space: str) -> None:
+        """Publish what is due of a driver after a sample; ``space`` such as ``vehicle_07/``."""
+        vehicle = follower.vehicle
+        due = [one for one in self.outputs if self._is_due(vehicle, one, stamp_ns)]
+        if not due or isnan(estimate.speed):
+            return
+        path = follower.predict(estimate, stamp_ns, max(one.ahead_s for one in due))
+        known = Known(stamp_ns, vehicle, path, Places(road, self._line, self._frame))
+        for one in due:
+            self._told_ns[vehicle, one.name] = stamp_ns
+            publisher = self._node.stream(one.kind, space + one.name)
+            for message in one.messages(known):
+                self._node.send(publisher, message)
+
+    def _is_due(self, vehicle: int, output: DriverOutput, stamp_ns: int) -> bool:
+        told_ns = self._told_ns.get((vehicle, output.name))
+        return told_ns is None or not 0 <= stamp_ns - told_ns < output.every_s * NS
+
+    def retire(self, vehicle: int, space: str) -> None:
+        """Take down the topics of a driver who has gone."""
+        for one in self.outputs:
+            self._told_ns.pop((vehicle, one.name), None)
+            self._node.end_stream(space + one.name)

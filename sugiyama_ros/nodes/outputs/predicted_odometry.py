@@ -3,9 +3,9 @@
 import numpy as np
 from nav_msgs.msg import Odometry
 
+from sugiyama_ros.nodes.driver import AHEAD_S
 from sugiyama_ros.nodes.outputs.odometry import odometry
 from sugiyama_ros.nodes.outputs.output import DriverOutput, Known
-from sugiyama_ros.nodes.prediction import AHEAD_S
 
 
 def predicted(known: Known) -> list[Odometry]:

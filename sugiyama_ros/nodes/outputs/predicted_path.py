@@ -4,8 +4,8 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 
 from sugiyama_ros.nodes.base.cdr_messages import NS, time_message
+from sugiyama_ros.nodes.driver import AHEAD_S
 from sugiyama_ros.nodes.outputs.output import DriverOutput, Known
-from sugiyama_ros.nodes.prediction import AHEAD_S
 
 
 def path(known: Known) -> list[Path]:

@@ -1,9 +1,22 @@
-"""Samples as they arrive: which one is next, late, there already, or from another time."""
+"""What comes from the road to the nodes of a process that follow vehicles, and what a sample is that arrives."""
 
-from collections import deque
+from collections import defaultdict, deque
+from collections.abc import Callable
 from enum import Enum, auto
+from functools import partial
+from typing import Protocol
 
-from sugiyama_ros.nodes.base.cdr_messages import NS, Sample
+from sugiyama_msgs.msg import DriverArray, MeasuredPositions
+from sugiyama_msgs.msg import Road as RoadMessage
+
+from sugiyama_ros.nodes.base.cdr_messages import NS, ArrayWriter, KnownDriver
+from sugiyama_ros.nodes.base.incoming import RefusedError, receiver
+from sugiyama_ros.nodes.base.node import AnyPublisher, PacedNode
+from sugiyama_ros.nodes.base.qos import DEPTH, LATCHED, STREAM
+from sugiyama_ros.nodes.base.samples import Sample
+
+#: Name of the topic on which all drivers are in one message, in the namespace of the road.
+DRIVERS_TOPIC = "drivers"
 
 #: Time [s] by which a sample may be late and still be sorted in, unless a parameter of the node says otherwise.
 WINDOW_S = 0.2
@@ -14,6 +27,101 @@ _LATE_NS = NS
 _LONGEST_S, LONGEST_PERIODS = 10.0, 100
 # Times between samples from which rate and spread are worked out.
 _MEASURED = 100
+
+
+class Listener(Protocol):
+    """Who follows the vehicles."""
+
+    def on_road(self, road: RoadMessage) -> None:
+        """Take in the road."""
+
+    def take_in(self, sample: Sample) -> None:
+        """Take in a sample; the road is known."""
+
+    def refuse(self, topic: str, reason: Exception) -> None:
+        """Hear of a message that was dropped."""
+
+
+class RoadFeed:
+    """Hands the road and every sample to all nodes of a process that follow vehicles, from one subscription to each.
+
+    Samples wait for the road. What the nodes know of their drivers after a sample is sent in one message, if they say
+    it here. The nodes stay as they are otherwise: each reports its own progress, so the source waits for each of them.
+
+    host: the node that subscribes and sends; named: the name of a topic for the node, if not that of the road.
+    """
+
+    def __init__(self, host: PacedNode, named: Callable[[str], str] | None = None) -> None:
+        self._host, self._named = host, named or host.shared
+        self._listeners: list[Listener] = []
+        self._waiting: deque[Sample] = deque(maxlen=DEPTH)
+        self._is_held, self._has_road = False, False
+        self._known: defaultdict[int, list[KnownDriver]] = defaultdict(list)
+        self._writer: ArrayWriter | None = None
+        kinds = (
+            (RoadMessage, "road", self._on_road, LATCHED),
+            (MeasuredPositions, "measured", self._on_measured, STREAM),
+        )
+        self._inputs = [
+            AnyPublisher(host, kind, self._named(topic), receiver(kind, take, partial(self._refuse, topic)), qos)
+            for kind, topic, take, qos in kinds
+        ]
+
+    def hand_to(self, listener: Listener) -> None:
+        """Hand everything from now on to a listener, too."""
+        self._listeners.append(listener)
+
+    def hold(self) -> None:
+        """Let samples wait, as if there were no road."""
+        self._is_held = True
+
+    def release(self) -> None:
+        """Go on with the samples that wait."""
+        self._is_held = False
+        self._go_on()
+
+    def offer_drivers(self) -> None:
+        """Publish the topic of all drivers, so that a recorder hears it from the first message on."""
+        self._host.stream(DriverArray, self._named(DRIVERS_TOPIC))
+
+    def collect(self, stamp_ns: int, driver: KnownDriver) -> None:
+        """Note what is known of a driver after the sample at a stamp [ns]."""
+        self._known[stamp_ns].append(driver)
+
+    def close(self) -> None:
+        """Hear nothing more."""
+        for one in self._inputs:
+            one.close()
+
+    def _refuse(self, topic: str, reason: RefusedError) -> None:
+        for listener in self._listeners:
+            listener.refuse(self._named(topic), reason)
+
+    def _on_road(self, road: RoadMessage) -> None:
+        self._has_road = True
+        for listener in self._listeners:
+            listener.on_road(road)
+        self._go_on()
+
+    def _on_measured(self, sample: Sample) -> None:
+        self._waiting.append(sample)
+        self._go_on()
+
+    def _go_on(self) -> None:
+        while self._waiting and self._has_road and not self._is_held:
+            sample = self._waiting.popleft()
+            for listener in self._listeners:
+                listener.take_in(sample)
+            self._send_drivers()
+
+    def _send_drivers(self) -> None:
+        """Send what is known; a layout of the message is kept while drivers and parameters stay the same."""
+        for stamp_ns, drivers in self._known.items():
+            if self._writer is None or not self._writer.fits(drivers):
+                self._writer = ArrayWriter(drivers)
+            publisher = self._host.stream(DriverArray, self._named(DRIVERS_TOPIC))
+            self._host.send(publisher, self._writer.message(stamp_ns, drivers))
+        self._known.clear()
 
 
 class Arrival(Enum):
@@ -41,10 +149,9 @@ def new_counts() -> dict[str, int]:
 
 
 class Arrivals:
-    """Judges every sample by its stamp.
+    """Judges every sample by its stamp, and counts what becomes of them.
 
-    period_s: period of the road [s]; window_s: time [s] by which a sample may be late and still be sorted in; counts:
-    numbers of samples by what became of them; counted on.
+    window_s: time [s] by which a sample may be late and still be sorted in.
     """
 
     def __init__(self, period_s: float, window_s: float, counts: dict[str, int]) -> None:

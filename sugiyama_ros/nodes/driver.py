@@ -1,0 +1,398 @@
+"""One driver who is followed: what the filter gets of a sample, where the driver will be, and what is published."""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import exp, isfinite, isnan, nan
+from typing import Any, NamedTuple
+
+import numpy as np
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from sugiyama_msgs.msg import DriverParameters, DriverType, Innovation, StyleChange, VehicleState
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.driver.parameters import NAMES, V_STAR
+from sugiyama_ros.effects.registry import ROW, active
+from sugiyama_ros.filters.any_time import steps_between
+from sugiyama_ros.filters.learnt import Learnt
+from sugiyama_ros.filters.online import NOBODY, Estimate, OnlineFilter
+from sugiyama_ros.filters.shown import ShownParameters, shown_of
+from sugiyama_ros.fit.classes import DriverTypes
+from sugiyama_ros.formats.measured import FRAME
+from sugiyama_ros.laws.registry import name_of
+from sugiyama_ros.nodes.base import cdr_messages
+from sugiyama_ros.nodes.base.cdr_messages import NS, KnownDriver, ParameterNames, time_message
+from sugiyama_ros.nodes.base.feed import RoadFeed
+from sugiyama_ros.nodes.base.node import PacedNode
+from sugiyama_ros.nodes.base.qos import DEPTH, KEPT_STREAM, STREAM
+from sugiyama_ros.nodes.base.samples import LONGEST_M, UNKNOWN_LEADER, Sample
+from sugiyama_ros.nodes.keeper import Kept
+from sugiyama_ros.trajectories.desired_speed import largest_v_star
+
+#: How far ahead [s] a path is predicted, unless asked otherwise.
+AHEAD_S = 5.0
+#: Vehicles in the chain of a filter that predicts a path: what they do reaches the driver within these seconds.
+VEHICLES = 7
+_PARAMETERS_EVERY_NS = NS
+#: What is published where nothing is known, so that every topic has a message for every step.
+UNKNOWN = Estimate(nan, nan, nan, np.full((3, 3), nan), nan, nan, nan, nan, nan, nan, nan, scored=False)
+
+
+class DivergedError(ArithmeticError):
+    """The state of a filter is no number any more."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """States of a driver now and in the next seconds.
+
+    time_s: (K,), times [s] from now on; the first is 0; position_m, speed: (K,), positions [m], not wrapped on a ring,
+    and speeds [m/s]; covariance: (K, 2, 2), of positions and speeds.
+    """
+
+    time_s: Array
+    position_m: Array
+    speed: Array
+    covariance: Array
+
+
+class _Past(NamedTuple):
+    """A sample that was taken in, and what was known before it."""
+
+    sample: Sample
+    filter_: Any
+    stamp_ns: int | None
+    missing_in_a_row: int
+    chain: list[int]
+    behind: int
+
+
+class Follower:
+    """Brings the filter of one driver to the time of each sample.
+
+    The stamps of the samples say how much time has passed. What the filter knew before each of the last samples is
+    kept for a while, so that a late sample can be sorted in.
+
+    kept: what an earlier run has learnt, from which the filter goes on; counts: numbers of samples by what became of
+    them, counted on; window_s: time [s] by which a sample may be late and still be sorted in.
+    """
+
+    def __init__(
+        self, vehicle: int, filter_: OnlineFilter, kept: Kept | None, counts: dict[str, int], window_s: float
+    ) -> None:
+        self.vehicle = vehicle
+        self.filter = filter_
+        self._kept = kept
+        self._counts = counts
+        self._window_ns = round(window_s * NS)
+        if kept is not None:
+            filter_.recall(kept.learnt)
+        #: Stamp [ns] of the last sample.
+        self.stamp_ns: int | None = None
+        self.missing_in_a_row = 0
+        self._chain: list[int] = []
+        self._behind = -1
+        self._length_m: dict[int, float] = {}
+        self._past: deque[_Past] = deque()
+        self._seen: Kept | None = None
+        self._unled: Learnt | None = None
+
+    def restart(self) -> None:
+        """Forget where the vehicles are, after a jump in time. What was learnt of the driver stays.
+
+        If time has jumped back, samples come that were learnt from already. They are followed, but not learnt again.
+        """
+        self.filter.restart()
+        if self.stamp_ns is not None:
+            self._seen = Kept(self.filter.learnt, self.stamp_ns)
+        self.stamp_ns = None
+        self.missing_in_a_row = 0
+        self._chain = []
+        self._behind = -1
+        self._length_m = {}
+        self._past.clear()
+
+    def change(self, effects: Array) -> None:
+        """Go on with other effects; see ``OnlineFilter.change``."""
+        self.filter.change(effects)
+        self._past.clear()
+
+    def follow(self, sample: Sample) -> Estimate:
+        """Take in the next sample. Raises DivergedError."""
+        self._keep_what_is_known(sample)
+        return self._step(sample)
+
+    def sort_in(self, sample: Sample) -> Estimate | None:
+        """Take in a sample that is late: go back to its time, and take in all later samples again.
+
+        Raises DivergedError.
+        """
+        later = [past for past in self._past if past.sample.stamp_ns > sample.stamp_ns]
+        if not later or later[0].stamp_ns is None or later[0].stamp_ns >= sample.stamp_ns:
+            return None
+        for _ in later:
+            self._past.pop()
+        before = later[0]
+        self.filter.restore(before.filter_)
+        self.stamp_ns, self.missing_in_a_row = before.stamp_ns, before.missing_in_a_row
+        self._chain, self._behind = before.chain, before.behind
+        counted = self._counts["missing"], self._counts["skipped"]
+        estimate = self.follow(sample)
+        for past in later:
+            self.follow(past.sample)
+        self._counts["missing"], self._counts["skipped"] = counted
+        return estimate
+
+    def predict(self, now: Estimate, stamp_ns: int, ahead_s: float) -> Prediction:
+        """Predict the driver's path from the latest sample on; see ``predict``."""
+        lengths = [self._length_m.get(vehicle, 0.0) for vehicle in self._chain]
+        return predict(self.filter, now, self._chain, lengths, stamp_ns / NS, ahead_s)
+
+    def _keep_what_is_known(self, sample: Sample) -> None:
+        """Keep what is known before a sample, and forget what is older than any sample may be late."""
+        past = self._past
+        past.append(_Past(sample, self.filter.saved(), self.stamp_ns, self.missing_in_a_row, self._chain, self._behind))
+        # before the first sample of the window comes the sample at which the window may begin
+        while len(past) > 1 and past[1].sample.stamp_ns <= sample.stamp_ns - self._window_ns:
+            past.popleft()
+
+    def _step(self, sample: Sample) -> Estimate:
+        elapsed_s = None if self.stamp_ns is None else (sample.stamp_ns - self.stamp_ns) / NS
+        self.stamp_ns = sample.stamp_ns
+        if self.vehicle in sample.place:
+            self._chain = sample.chain(self.vehicle, self.filter.vehicles)
+        if not self._chain:
+            self.missing_in_a_row += 1
+            return UNKNOWN
+        self._note_leader(sample)
+        position, length = self._chain_in(sample)
+        self.missing_in_a_row = self.missing_in_a_row + 1 if isnan(position[0]) else 0
+        self._counts["missing"] += isnan(position[0])
+        if elapsed_s is not None:
+            self._counts["skipped"] += steps_between(elapsed_s, self.filter.period_s)[0] - 1
+        behind = self._vehicle_behind(sample)
+        was_smooth = self.filter.is_smooth
+        estimate = self.filter.step(position, self._chain, length, sample.stamp_ns / NS, behind, elapsed_s)
+        if not isfinite(estimate.speed):
+            raise DivergedError("the filter has diverged and starts anew; are its effects and parameters sensible?")
+        self._recall_if_known(sample.stamp_ns)
+        if estimate.covariance[1, 1] == 0.0:
+            # one position says nothing about the speed
+            estimate = UNKNOWN._replace(position_m=estimate.position_m)
+        if self._unled is None:
+            return estimate
+        if self.filter.is_smooth != was_smooth:
+            # what was learnt before is of noises that do not suit the positions
+            self._unled = self.filter.prior if self._kept is None else self._kept.learnt
+        self.filter.recall(self._unled)
+        return estimate._replace(gap_m=nan, approach_rate=nan, mean_action=nan, scored=False)
+
+    def _note_leader(self, sample: Sample) -> None:
+        """Note what was learnt before the leader got out of view: how the driver then drives tells nothing of them."""
+        place = sample.place.get(self.vehicle)
+        if place is None or sample.leader[place] != UNKNOWN_LEADER:
+            self._unled = None
+        elif self._unled is None:
+            self._unled = self.filter.learnt
+
+    def _recall_if_known(self, stamp_ns: int) -> None:
+        """Go back to what was learnt before, if the sample was learnt from already."""
+        if self._kept is not None and self._is_known(stamp_ns, self._kept):
+            self.filter.recall(self._kept.learnt)
+        if self._seen is not None:
+            if stamp_ns <= self._seen.until_ns:
+                self.filter.recall(self._seen.learnt)
+            else:
+                self._seen = None
+
+    def _chain_in(self, sample: Sample) -> tuple[list[float], list[float]]:
+        """Positions [m] (NaN if missing) and lengths [m] of the vehicle and of those ahead of it."""
+        position, length, place_of = [], [], sample.place.get
+        for m, vehicle in enumerate(self._chain):
+            place, measured = place_of(vehicle), nan
+            if place is not None:
+                if isfinite(sample.position_m[place]):
+                    measured = sample.position_m[place]
+                    if sample.stamp_offset_s:
+                        # measured at another time than the sample: where the vehicle is at the time of the sample
+                        measured -= sample.stamp_offset_s[place] * self.filter.speed_of(m, vehicle)
+                if 0.0 <= sample.length_m[place] < LONGEST_M:
+                    self._length_m[vehicle] = sample.length_m[place]
+            position.append(measured)
+            length.append(self._length_m.get(vehicle, 0.0))
+        return position, length
+
+    def _vehicle_behind(self, sample: Sample) -> tuple[float, int, float]:
+        """Position [m], number and length [m] of the vehicle behind, if the effects need it."""
+        if not self.filter.looks_back:
+            return NOBODY
+        if self.vehicle in sample.place:
+            self._behind = sample.behind(self.vehicle)
+        place = sample.place.get(self._behind)
+        if place is None:
+            return nan, self._behind, self._length_m.get(self._behind, 0.0)
+        self._length_m[self._behind] = sample.known_length_m(place)
+        return sample.position_m[place], self._behind, self._length_m[self._behind]
+
+    def _is_known(self, stamp_ns: int, kept: Kept) -> bool:
+        """Whether an earlier run has learnt from the sample: the last samples may be sent once more."""
+        return kept.until_ns - DEPTH * self.filter.period_s * NS < stamp_ns <= kept.until_ns
+
+
+def predict(
+    filter_: OnlineFilter,
+    now: Estimate,
+    identity: Sequence[int],
+    length_m: Sequence[float],
+    time_s: float = 0.0,
+    ahead_s: float = AHEAD_S,
+) -> Prediction:
+    """Predict a driver's path with a filter, which afterwards knows what it knew before.
+
+    Nothing is known of the preferences of the drivers ahead but their spread over the population. So the filter also
+    goes on with each of these preferences one standard deviation lower and higher. What this changes adds to the mean
+    and to the covariance, as in a cubature rule: a slower leader slows the driver down, but a faster one does not pull.
+
+    now: of the latest sample, at time_s [s], with the numbers and lengths [m] of the vehicles of the chain.
+    """
+    saved = filter_.saved()
+    path = _path(filter_, now, identity, length_m, time_s, ahead_s)
+    model, middle = filter_.kalman.model, np.column_stack([path.position_m, path.speed])
+    for m in (m for m in range(1, len(identity)) if identity[m] >= 0):
+        for place, std in zip(model.adapted, np.sqrt(model.prior_var).tolist(), strict=True):
+            for sign in (-1.0, 1.0):
+                filter_.restore(saved)
+                filter_.kalman.rows[m, place] *= exp(sign * std)
+                other = _path(filter_, now, identity, length_m, time_s, ahead_s)
+                off = np.column_stack([other.position_m, other.speed]) - middle
+                path.position_m[:] += 0.5 * off[:, 0]
+                path.speed[:] += 0.5 * off[:, 1]
+                path.covariance[:] += 0.5 * off[:, :, None] * off[:, None, :]
+    filter_.restore(saved)
+    return path
+
+
+def _path(
+    filter_: OnlineFilter,
+    now: Estimate,
+    identity: Sequence[int],
+    length_m: Sequence[float],
+    time_s: float,
+    ahead_s: float,
+) -> Prediction:
+    """Let a filter go on without samples; the arguments are those of ``predict``."""
+    periods = round(ahead_s / filter_.period_s)
+    found, nowhere = [now], [nan] * len(identity)
+    for k in range(1, periods + 1):
+        at_s = time_s + k * filter_.period_s
+        found.append(filter_.step(nowhere, identity, length_m, at_s, (nan, -1, 0.0)))
+    position = np.array([one.position_m for one in found])
+    steps: Array = np.diff(position)
+    if filter_.road.is_ring:
+        lap = filter_.road.circumference_m
+        steps -= lap * np.round(steps / lap)
+    return Prediction(
+        time_s=np.array([k * filter_.period_s for k in range(periods + 1)]),
+        position_m=position[0] + np.concatenate([[0.0], np.cumsum(steps)]),
+        speed=np.array([one.speed for one in found]),
+        covariance=np.array([one.covariance[:2, :2] for one in found]),
+    )
+
+
+class DriverTopics:
+    """Publishes ``state``, ``innovation``, ``style_change``, ``parameters`` and, with types, ``driver_type``.
+
+    feed: where the driver is in one message with other drivers: it gets state, innovation and parameters with every
+    sample, and they have no topics; space: namespace of the topics within the node's, such as ``vehicle_07/``; empty
+    for the node's own, whose topics drivers share.
+    """
+
+    def __init__(
+        self, node: PacedNode, vehicle: int, types: DriverTypes | None, feed: RoadFeed | None = None, space: str = ""
+    ) -> None:
+        self._node, self._vehicle, self._types, self._feed, self._space = node, vehicle, types, feed, space
+        #: Names of the parameters that the samples so far do not determine.
+        self.not_identified: list[str] = []
+        self._shown: ShownParameters | None = None
+        self._stamp_ns: int | None = None
+        # the largest speed [m/s] so far, and the place of v* among the adapted parameters
+        self._fastest = 0.0
+        self._v_star: int | None = None
+        self._topics: list[str] = []
+        if feed is None:
+            self._to_state = self._stream(VehicleState, "state")
+            self._to_innovation = self._stream(Innovation, "innovation")
+            self._to_parameters = self._stream(DriverParameters, "parameters", KEPT_STREAM)
+        self._to_changes, *self._to_type = [self._stream(kind, topic) for kind, topic in shared_topics(types)]
+
+    def _stream(self, kind: type, topic: str, qos: QoSProfile = STREAM) -> Publisher:
+        self._topics.append(self._space + topic)
+        return self._node.stream(kind, self._space + topic, qos)
+
+    def close(self) -> None:
+        """Take down the topics that are the driver's own."""
+        if self._space:
+            for topic in self._topics:
+                self._node.end_stream(topic)
+
+    def choose_parameters(self, effects: Array, filter_: OnlineFilter) -> None:
+        """From now on, publish the driver's parameters, and those of the law and the effects in a row (WIDTH,)."""
+        law = ROW.law_places.get(name_of(float(filter_.parameters[ROW.law])), slice(0))
+        blocks = [law, *(ROW.places[name] for name in active(effects))]
+        shown = [*range(len(NAMES)), *(k for block in blocks for k in range(ROW.width)[block])]
+        self._shown = shown_of(filter_, shown)
+        names = [ROW.entries[k] for k in shown]
+        self._v_star = filter_.adapted.index("v_star") if "v_star" in filter_.adapted else None
+        self._names = ParameterNames(tuple(names), filter_.adapted)
+        self._message = cdr_messages.ParametersWriter(self._vehicle, names, filter_.adapted)
+
+    def restart(self) -> None:
+        """Publish the parameters with the next sample, whatever its stamp."""
+        self._stamp_ns = None
+
+    def publish_estimate(self, stamp_ns: int, estimate: Estimate, change: tuple[str, float] | None) -> None:
+        """Publish the state and the innovation, and a change of style (name and factor) if there is one."""
+        send, vehicle = self._node.send, self._vehicle
+        self._fastest = max(self._fastest, estimate.speed)
+        if self._feed is None:
+            send(self._to_state, cdr_messages.state(stamp_ns, vehicle, estimate))
+            send(self._to_innovation, cdr_messages.innovation(stamp_ns, vehicle, estimate))
+        elif (shown := self._shown) is not None:
+            self._read(shown)
+            value, covariance, identified = shown.value.copy(), shown.adapted_covariance, shown.adapted_identified
+            known = KnownDriver(vehicle, estimate, self._names, value, covariance, identified)
+            self._feed.collect(stamp_ns, known)
+        if change is not None:
+            message = StyleChange(vehicle=vehicle, name=change[0], factor=change[1])
+            message.header.stamp, message.header.frame_id = time_message(stamp_ns), FRAME
+            send(self._to_changes, message)
+
+    def _read(self, shown: ShownParameters) -> None:
+        """Read what the filter knows. A desired speed beyond what these speeds can tell is not identified."""
+        shown.read()
+        if self._v_star is not None and shown.value[V_STAR] > largest_v_star(self._fastest):
+            shown.adapted_identified[self._v_star] = False
+
+    def publish_parameters(self, stamp_ns: int, filter_: OnlineFilter, is_last: bool) -> None:
+        """Publish the parameters once a second of the recording's time, and with the last sample."""
+        is_due = self._stamp_ns is None or stamp_ns - self._stamp_ns >= _PARAMETERS_EVERY_NS
+        shown = self._shown
+        if shown is None or not (is_due or is_last):
+            return
+        self._stamp_ns = stamp_ns
+        if self._feed is None:
+            self._read(shown)
+            message = self._message.message(stamp_ns, shown.value, shown.covariance, shown.identified)
+            self._node.send(self._to_parameters, message)
+        self.not_identified = shown.not_identified
+        if self._types is not None:
+            probability = self._types.probabilities(filter_.learnt, filter_.prior).tolist()
+            told = DriverType(vehicle=self._vehicle, probability=probability)
+            told.header.stamp, told.header.frame_id = time_message(stamp_ns), FRAME
+            self._node.send(self._to_type[0], told)
+
+
+def shared_topics(types: DriverTypes | None) -> list[tuple[type, str]]:
+    """Classes and names of the topics that each driver has also where they are in one message with other drivers."""
+    return [(StyleChange, "style_change"), *([(DriverType, "driver_type")] if types is not None else [])]
