@@ -7,7 +7,7 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.calibration.vehicle_classes import medians_of, rows_of_classes
-from sugiyama_ros.drives import Drive
+from sugiyama_ros.filters.extract import Drive
 from sugiyama_ros.fit.driver import Fit
 from sugiyama_ros.fit.each_driver import most_seen
 from sugiyama_ros.trajectories.tracks import Tracks

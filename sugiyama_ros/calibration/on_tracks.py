@@ -25,8 +25,8 @@ from sugiyama_ros.calibration.vehicle_classes import (
     medians_of,
 )
 from sugiyama_ros.driver.parameters import PARAMETERS, SIGMA_A, index
-from sugiyama_ros.drives import Drive
 from sugiyama_ros.effects.registry import ROW
+from sugiyama_ros.filters.extract import Drive
 from sugiyama_ros.fit.bounds import lower_bounds, upper_bounds
 from sugiyama_ros.fit.driver import START_SIGMA_A, Fit, Job, SearchOptions, carry_out
 from sugiyama_ros.fit.driver_score import DriverChains, predicted

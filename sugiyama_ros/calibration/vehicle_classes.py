@@ -12,8 +12,8 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import index
-from sugiyama_ros.drives import Drive
 from sugiyama_ros.filters.causal import ChainJob, predict_samples
+from sugiyama_ros.filters.extract import Drive
 from sugiyama_ros.fit.driver import Fit
 from sugiyama_ros.trajectories.tracks import Tracks
 

@@ -5,7 +5,7 @@ The gap is infinite without a leader. All functions are compiled. The parameters
 of ``driver.parameters``, rescaled to the period.
 """
 
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -37,10 +37,10 @@ UTILITY_ROW, GRID_ROW, _HANDICAP, _GAP, _SCALE = range(5)
 _WEIGHT, _WEIGHTED = _GAP, _SCALE
 #: A row that is free between ``utilities`` and ``boltzmann_mean``.
 FREE_ROW = _GAP
-# The length of a row is a multiple of this number, and a row is summed in this number of lanes. A vector instruction
-# then adds several entries, in a fixed order. With fastmath, compilers would choose the order, and the rounding would
-# differ from one compilation to the next.
-_LANES = 16
+# The length of a row is a multiple of this number, and a row is summed in this number of partial sums. A vector
+# instruction then adds several entries, in a fixed order. With fastmath, compilers would choose the order, and the
+# rounding would differ from one compilation to the next.
+_SUMS = 16
 #: Gap [m] of a driver without a leader, in place of an infinite gap: no risk, and all numbers stay finite.
 FAR = 1e9
 #: Speed [m/s] above which driving backward costs less than 1e-20.
@@ -194,28 +194,28 @@ def utilities(
 @kernel(vectorised=True)
 def _best(scratch: Array) -> float:
     """Find the largest utility."""
-    for k in range(_LANES):
+    for k in range(_SUMS):
         scratch[_WEIGHT, k] = scratch[UTILITY_ROW, k]
-    for start in range(_LANES, scratch.shape[1], _LANES):
-        for lane in range(_LANES):
-            other = scratch[UTILITY_ROW, start + lane]
-            scratch[_WEIGHT, lane] = other if other > scratch[_WEIGHT, lane] else scratch[_WEIGHT, lane]
+    for start in range(_SUMS, scratch.shape[1], _SUMS):
+        for part in range(_SUMS):
+            other = scratch[UTILITY_ROW, start + part]
+            scratch[_WEIGHT, part] = other if other > scratch[_WEIGHT, part] else scratch[_WEIGHT, part]
     best: float = scratch[_WEIGHT, 0]
-    for lane in range(1, _LANES):
-        best = scratch[_WEIGHT, lane] if scratch[_WEIGHT, lane] > best else best
+    for part in range(1, _SUMS):
+        best = scratch[_WEIGHT, part] if scratch[_WEIGHT, part] > best else best
     return best
 
 
 @kernel(vectorised=True)
 def _sum(scratch: Array, row: int) -> float:
     """Sum up a row of the scratch array, and overwrite it."""
-    for start in range(_LANES, scratch.shape[1], _LANES):
-        for lane in range(_LANES):
-            scratch[row, lane] += scratch[row, start + lane]
-    for lane in range(8):
-        scratch[row, lane] += scratch[row, lane + 8]
-    for lane in range(4):
-        scratch[row, lane] += scratch[row, lane + 4]
+    for start in range(_SUMS, scratch.shape[1], _SUMS):
+        for part in range(_SUMS):
+            scratch[row, part] += scratch[row, start + part]
+    for part in range(8):
+        scratch[row, part] += scratch[row, part + 8]
+    for part in range(4):
+        scratch[row, part] += scratch[row, part + 4]
     total: float = (scratch[row, 0] + scratch[row, 1]) + (scratch[row, 2] + scratch[row, 3])
     return total
 
@@ -242,7 +242,7 @@ def scratch_for(actions: Array) -> Array:
     for an action, and a very low utility for an entry that only fills up the row; two rows for intermediate results.
     """
     count = len(actions)
-    scratch = np.zeros((5, -(-count // _LANES) * _LANES))
+    scratch = np.zeros((5, -(-count // _SUMS) * _SUMS))
     for k in range(scratch.shape[1]):
         scratch[GRID_ROW, k] = actions[min(k, count - 1)]
         if k >= count:
@@ -271,3 +271,9 @@ def mean_action(
     period: length of a period [s]. Returns mean action [m/s^2].
     """
     return considered_action(gap, speed, leader_speed, parameters, scratch_for(actions), period, horizon)
+
+
+@kernel
+def advance(position: Any, speed: Any, acceleration: Any, period: float) -> tuple[Any, Any]:
+    """Return positions [m] and speeds [m/s] of vehicles one period [s] later, by Euler's rule (Eq. ssm_form)."""
+    return position + period * speed, speed + period * acceleration

@@ -1,4 +1,4 @@
-"""What a driver does, with all effects: from what the driver can see to the acceleration of the car. Compiled."""
+"""What a driver does and how it is measured, with all effects: from what the driver can see to a measured position."""
 
 import math
 
@@ -19,6 +19,7 @@ from sugiyama_ros.effects.effect import Seen, with_view
 from sugiyama_ros.effects.hooks import (
     ACTUATE,
     CHANGE,
+    DISPLACE,
     EXPECT,
     FEEL,
     LAW,
@@ -28,20 +29,23 @@ from sugiyama_ros.effects.hooks import (
     PERCEIVE,
     PREFER,
     PUSH,
+    UNEVEN,
     VALUE,
-    WORDS,
+    WEIGH,
     acts,
     call_actuate,
     call_change,
+    call_displace,
     call_expect,
     call_law,
     call_noise,
     call_perceive,
     call_prefer,
     call_push,
+    call_uneven,
     call_value,
-    end_of,
-    first_of,
+    call_weigh,
+    functions_of,
     has_number,
     is_on,
     longest,
@@ -62,7 +66,7 @@ def law_acceleration(gap: float, speed: float, leader_speed: float, row: Array) 
     gap, speed, leader_speed: gap [m], infinite without a leader, speed [m/s] and leader's speed [m/s]; row: (width,),
     row of the driver. Returns acceleration [m/s^2]; naN if no law has the number in the row.
     """
-    for f in range(first_of(LAW), end_of(LAW), WORDS):
+    for f in functions_of(LAW):
         if has_number(f, row[_LAW]):
             acceleration: float = call_law(f, gap, speed, leader_speed, part_of(row, f + PARAMETERS))
             return acceleration
@@ -73,7 +77,7 @@ def law_acceleration(gap: float, speed: float, leader_speed: float, row: Array) 
 def noise_factor(speed: float, row: Array) -> float:
     """Compute the factor of the std of the acceleration noise at a speed [m/s], for a row (width,)."""
     factor = 1.0
-    for f in range(first_of(NOISE), end_of(NOISE), WORDS):
+    for f in functions_of(NOISE):
         if is_on(f, row):
             factor *= call_noise(f, speed, part_of(row, f + PARAMETERS))
     return factor
@@ -88,7 +92,7 @@ def seeks(row: Array) -> bool:
 @kernel(allocates=False)
 def perceive(seen: Seen, row: Array) -> Seen:
     """Return what the driver of a row (width,) perceives of what can be seen."""
-    for f in range(first_of(PERCEIVE), end_of(PERCEIVE), WORDS):
+    for f in functions_of(PERCEIVE):
         if is_on(f, row):
             gap, speed, leader_speed = call_perceive(f, seen, part_of(row, f + PARAMETERS))
             seen = with_view(seen, gap, speed, leader_speed)
@@ -99,7 +103,7 @@ def perceive(seen: Seen, row: Array) -> Seen:
 def prefer(perceived: Seen, row: Array) -> Preferences:
     """Return what the driver of a row (width,) prefers, given what the driver perceives."""
     v_star, kappa_v, kappa_1, kappa_c, kappa_d, omega_2, rationality = preferences(row)
-    for f in range(first_of(PREFER), end_of(PREFER), WORDS):
+    for f in functions_of(PREFER):
         if is_on(f, row):
             v_star, kappa_v = call_prefer(f, v_star, kappa_v, perceived, part_of(row, f + PARAMETERS))
     return v_star, kappa_v, kappa_1, kappa_c, kappa_d, omega_2, rationality
@@ -133,7 +137,7 @@ def add_components(
 
     Every ``stride``-th entry of ``utility`` is the utility of an action. ``added`` (K,) is overwritten.
     """
-    for f in range(first_of(VALUE), end_of(VALUE), WORDS):
+    for f in functions_of(VALUE):
         if is_on(f, row):
             call_value(f, perceived, actions, period, horizon, part_of(row, f + PARAMETERS), driver, added)
             for k in range(len(actions)):
@@ -149,11 +153,11 @@ def acts_on_intention(row: Array) -> bool:
 @kernel(allocates=False)
 def act(action: float, seen: Seen, row: Array) -> tuple[float, float]:
     """Return what becomes of the acceleration [m/s^2] that the driver chooses; results as of ``intend``."""
-    for f in range(first_of(ACTUATE), end_of(ACTUATE), WORDS):
+    for f in functions_of(ACTUATE):
         if is_on(f, row):
             action = call_actuate(f, action, seen, part_of(row, f + PARAMETERS))
     pushed = 0.0
-    for f in range(first_of(PUSH), end_of(PUSH), WORDS):
+    for f in functions_of(PUSH):
         if is_on(f, row):
             pushed += call_push(f, seen, part_of(row, f + PARAMETERS))
     return action, pushed
@@ -191,7 +195,7 @@ def carry_out(meant: float, held: float, row: Array, period: float) -> float:
     if not acts(CHANGE, row):
         return meant
     wanted = meant - held
-    for f in range(first_of(CHANGE), end_of(CHANGE), WORDS):
+    for f in functions_of(CHANGE):
         if is_on(f, row):
             wanted = call_change(f, wanted, period, part_of(row, f + PARAMETERS))
     return held + wanted
@@ -206,7 +210,7 @@ def expect_change(wanted: float, variance: float, row: Array, period: float) -> 
     that is carried out, its regression on the wanted change, and the variance [m^2/s^4] that the regression leaves.
     """
     mean, slope, left = wanted, 1.0, 0.0
-    for f in range(first_of(EXPECT), end_of(EXPECT), WORDS):
+    for f in functions_of(EXPECT):
         if is_on(f, row):
             # between two effects the change counts as normally distributed
             spread = slope * slope * variance + left
@@ -231,3 +235,75 @@ def feels_accelerations(row: Array) -> bool:
 def looks_back(row: Array) -> float:
     """Return how far the driver of a row (width,) looks back [s]; 0 for a driver who sees what there is now."""
     return longest(LOOK_BACK, row)
+
+
+@kernel(allocates=False)
+def displacement(position: float, circumference: float, row: Array) -> tuple[float, float]:
+    """Compute how far a position is displaced when it is measured.
+
+    position, circumference: true position [m], and circumference [m] of the ring; 0 for an open road; row: (width,),
+    row of the driver. Returns measured minus true position [m], and its derivative by the position.
+    """
+    offset, slope = 0.0, 0.0
+    for f in functions_of(DISPLACE):
+        if is_on(f, row):
+            more, steeper = call_displace(f, position, circumference, part_of(row, f + PARAMETERS))
+            offset, slope = offset + more, slope + steeper
+    return offset, slope
+
+
+@kernel(allocates=False)
+def noise_std_factor(position: float, circumference: float, row: Array) -> float:
+    """Compute the factor of the std of the measurement noise; arguments as for ``displacement``."""
+    factor = 1.0
+    for f in functions_of(UNEVEN):
+        if is_on(f, row):
+            factor *= call_uneven(f, position, circumference, part_of(row, f + PARAMETERS))
+    return factor
+
+
+@kernel(allocates=False)
+def is_contaminated(row: Array) -> bool:
+    """Whether an effect in a row (width,) makes some measurements worse than others."""
+    return acts(WEIGH, row)
+
+
+@kernel(allocates=False)
+def weigh(innovation: float, variance: float, noise_var: float, row: Array) -> tuple[float, float, float]:
+    """Weigh a sample from a mixture of good and bad measurements.
+
+    innovation: measured minus predicted position [m]; variance, noise_var: variances [m^2] of the innovation and of the
+    noise of a good measurement; row: (width,), row of the driver, with an effect for which ``is_contaminated`` is true.
+    Returns probability that the sample is bad, variance [m^2] of the innovation of a bad sample, and log-likelihood of
+    the sample.
+    """
+    probability, wide, density = 0.0, variance, 0.0
+    for f in functions_of(WEIGH):
+        if is_on(f, row):
+            probability, wide, density = call_weigh(f, innovation, variance, noise_var, part_of(row, f + PARAMETERS))
+    return probability, wide, density
+
+
+@kernel
+def displacements(position: Array, circumference: float, rows: Array) -> Array:
+    """Compute the displacements (N,) [m] of N vehicles at positions (N,) [m], with rows (N, width)."""
+    return np.array([displacement(position[i], circumference, rows[i])[0] for i in range(len(position))])
+
+
+@kernel
+def noise_std_factors(position: Array, circumference: float, rows: Array) -> Array:
+    """Compute the factors (N,) of the measurement noise of N vehicles at positions (N,) [m], with rows (N, width)."""
+    return np.array([noise_std_factor(position[i], circumference, rows[i]) for i in range(len(position))])
+
+
+def spoil(noise: Array, rows: Array, rng: np.random.Generator) -> Array:
+    """Make some measurements worse than others.
+
+    noise: (N,), measurement noise [m] of N vehicles; rows: (N, width), rows of the drivers. Returns (N,), measurement
+    noise [m] with the bad measurements.
+    """
+    for effect in EFFECTS.values():
+        values = rows[:, ROW.places[effect.name]]
+        if effect.contamination is not None and rows[:, ROW.index_of(effect.name, effect.switches[0])].any():
+            noise = effect.contamination.sample(noise, values, rng)
+    return noise

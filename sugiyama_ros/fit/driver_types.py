@@ -10,7 +10,7 @@ from sugiyama_ros.driver.parameters import NAMES, index
 
 if TYPE_CHECKING:
     # The online filter is not needed to keep or write the classes, and takes long to load.
-    from sugiyama_ros.filters.learnt import Learnt
+    from sugiyama_ros.filters.online import Learnt
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,9 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.filters.any_time import steps_between
-from sugiyama_ros.filters.learnt import Learnt
-from sugiyama_ros.filters.online import NOBODY, Estimate, OnlineFilter
+from sugiyama_ros.filters.first_look import steps_between
+from sugiyama_ros.filters.online import NOBODY, Estimate, Learnt, OnlineFilter
 from sugiyama_ros.nodes.base.cdr_messages import LONGEST_M, NS, Sample
 from sugiyama_ros.nodes.base.qos import DEPTH
 from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER

@@ -10,7 +10,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.calibration.calibrate import each_driver
 from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, population
-from sugiyama_ros.filters.causal_kernel import SETTLING
+from sugiyama_ros.filters.causal import SETTLING
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.studies.followers import PARTICLES, PLACES, Cubature, LearningFilter, Particles, Unscented
 from sugiyama_ros.studies.rings import CARS, alike, jams

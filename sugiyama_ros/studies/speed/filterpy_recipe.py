@@ -7,7 +7,7 @@ from scipy.optimize import minimize
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES, SIGMA_A, defaults
 from sugiyama_ros.driver.utility import ACTIONS
-from sugiyama_ros.filters import paper, paper_kalman
+from sugiyama_ros.filters import paper
 from sugiyama_ros.fit.smooth_positions import ESTIMATED
 
 #: Places of the estimated parameters in a driver's row.
@@ -54,10 +54,10 @@ def plain_likelihood(perceived: paper.Perceived, p: Array) -> float:
     kalman = KalmanFilter(dim_x=3, dim_z=1, dim_u=1)
     kalman.x = np.array([[perceived.measured_m[0]], [perceived.speed[0]], [0.0]])
     kalman.P = np.eye(3)
-    kalman.F, kalman.H = paper_kalman.phi(q["rho"], perceived.period_s), paper_kalman.A
+    kalman.F, kalman.H = paper.phi(q["rho"], perceived.period_s), paper.A
     kalman.B, kalman.Q, kalman.R = (
         np.array([[0.0], [0.0], [1.0]]),
-        paper_kalman.omega(p),
+        paper.omega(p),
         np.array([[q["sigma_nu"] ** 2]]),
     )
     total = 0.0
@@ -65,7 +65,7 @@ def plain_likelihood(perceived: paper.Perceived, p: Array) -> float:
         if t:
             kalman.predict(u=np.array([[action[t] - q["rho"] * action[t - 1]]]))
         kalman.update(z)
-        if t >= paper_kalman.UNSCORED:
+        if t >= paper.UNSCORED:
             total -= 0.5 * (np.log(kalman.S[0, 0]) + kalman.y[0, 0] ** 2 / kalman.S[0, 0])
     return float(total)
 

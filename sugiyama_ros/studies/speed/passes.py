@@ -7,7 +7,7 @@ from typing import Any
 from unittest import mock
 
 from sugiyama_ros.filters import causal
-from sugiyama_ros.filters.causal_kernel import Observed, run
+from sugiyama_ros.filters.causal import Observed, run
 
 
 def counted(work: Callable[[], object]) -> tuple[int, float]:
