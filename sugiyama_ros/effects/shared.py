@@ -19,20 +19,7 @@ _CENTRES, _WIDTHS = 12, (0.35,)
 
 @kernel
 def bump(seen: Seen, centre: float, width: float) -> float:
-    """Compute a raised cosine: 1 in the middle, and smoothly down to 0 at half a width from the middle.
-
-    Parameters
-    ----------
-    seen : Seen
-        Where the vehicle is.
-    centre, width : float
-        Middle and length [m] of the part of the road.
-
-    Returns
-    -------
-    float
-        From 0 to 1.
-    """
+    """Compute a raised cosine: 1 in the middle [m], and smoothly down to 0 at half a width [m] from the middle."""
     off = seen.position - centre
     if seen.circumference > 0.0:
         off -= seen.circumference * math.floor(off / seen.circumference + 0.5)
@@ -42,18 +29,7 @@ def bump(seen: Seen, centre: float, width: float) -> float:
 
 
 def around(strength: Values) -> Callable[[RecordingExtent], tuple[Values, ...]]:
-    """Make the starts of a search at places all along the road.
-
-    Parameters
-    ----------
-    strength : mapping of str to float
-        Values of the other parameters of the effect.
-
-    Returns
-    -------
-    callable
-        RecordingExtent -> starts, for ``Effect.starts``.
-    """
+    """Make the starts of a search at places all along the road; strength: values of the other parameters."""
 
     def starts(recording: RecordingExtent) -> tuple[Values, ...]:
         first = 0.0 if recording.circumference_m else recording.first_m
@@ -71,11 +47,7 @@ def around(strength: Values) -> Callable[[RecordingExtent], tuple[Values, ...]]:
 def risk_ahead(
     gap: float, speed: float, other_speed: float, action: float, period: float, horizon: int, driver: Preferences
 ) -> float:
-    """Compute the largest risk, from 0 to 1, of a vehicle ahead in the look-ahead, as phi2 of the paper does.
-
-    gap, speed, other_speed: gap [m], and speeds [m/s] of the driver and of the vehicle ahead; action: acceleration
-    [m/s^2] that the driver holds; period: length of a period [s].
-    """
+    """Compute the largest risk, from 0 to 1, of a vehicle ahead in the look-ahead, as phi2 of the paper does."""
     near, wide = gap_and_scale(action, 1, gap, speed, other_speed, driver, period)
     for tau in range(2, horizon + 1):
         gap_then, wide_then = gap_and_scale(action, tau, gap, speed, other_speed, driver, period)
@@ -112,9 +84,9 @@ def contaminated_normal(
 ) -> tuple[float, float, float]:
     """Weigh a sample from a mixture of good and bad measurements.
 
-    innovation: measured minus predicted position [m]; variance: variance [m^2] of the innovation of a good measurement;
-    noise_var: variance [m^2] of the noise of a good measurement. Returns probability that the sample is bad, variance
-    [m^2] of the innovation of a bad sample, and log-likelihood of the sample.
+    variance, noise_var: variances [m^2] of the innovation and of the noise of a good measurement. Returns the
+    probability that the sample is bad, the variance [m^2] of the innovation of a bad sample, and the log-likelihood of
+    the sample.
 
     References
     ----------

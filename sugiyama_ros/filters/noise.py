@@ -251,9 +251,3 @@ def forget_noises(noises: Noises, m: int) -> None:
             noises.d_mean[d, k] = 0.0
             noises.d_covariance[d, k, :] = 0.0
             noises.d_covariance[d, :, k] = 0.0
-
-
-@kernel(allocates=False)
-def put_noises(noises: Noises, row: Array) -> None:
-    """Put the noises as they are known now into the driver's row (WIDTH,)."""
-    row[SIGMA_NU], row[SIGMA_A] = math.exp(noises.mean[_NU]), math.exp(noises.mean[_A])
