@@ -19,7 +19,7 @@ from pathlib import Path
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.filters.extract import chain_behind
-from sugiyama_ros.filters.kalman import NO_REAR, OnlineKalman
+from sugiyama_ros.filters.kalman import NO_REAR
 from sugiyama_ros.filters.online import OnlineFilter
 from sugiyama_ros.filters.online_kernel import step
 from sugiyama_ros.filters.online_memory import online_arrays
@@ -54,7 +54,6 @@ def filters_s(t: Trajectories) -> float:
     work = []
     for driver in range(len(t.vehicle)):
         chain, kalman = chain_behind(t, driver), OnlineFilter(t.period_s, t.road).kalman
-        assert isinstance(kalman, OnlineKalman)
         kalman.arrays.sample.rear[:] = NO_REAR
         work.append((kalman.memory, chain.position_m, chain.identity, chain.length_m))
     first = work[0]
