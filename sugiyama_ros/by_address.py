@@ -29,8 +29,8 @@ from numba.core.errors import TypingError
 from numba.extending import intrinsic
 from numba.np.arrayobj import populate_array
 
-#: Places of the table that compiled code holds as constants: of the functions of lanes, and of the heads of hooks.
-LANES_AT, HOOKS_AT, _FREE_FROM = 1, 16, 128
+#: Places of the table that compiled code holds as constants: of the functions of a batch, and of the heads of hooks.
+BATCH_AT, HOOKS_AT, _FREE_FROM = 1, 16, 128
 _NAME, _WORDS = "sugiyama_ros_table", 8192
 _WORD = ir.IntType(64)
 # Time [s] after which an interrupt that came while a function was compiled is raised again.

@@ -16,7 +16,7 @@ from benchmarks.speed.timing import SpeedFigure, cpu_of_functions, jam
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES, SIGMA_A, defaults
 from sugiyama_ros.driver.utility import ACTIONS
-from sugiyama_ros.filters import paper, paper_kalman
+from sugiyama_ros.filters import paper
 from sugiyama_ros.fit.driver import calibrate
 from sugiyama_ros.fit.smooth_positions import ESTIMATED
 
@@ -67,10 +67,10 @@ def plain_likelihood(perceived: paper.Perceived, p: Array) -> float:
     kalman = KalmanFilter(dim_x=3, dim_z=1, dim_u=1)
     kalman.x = np.array([[perceived.measured_m[0]], [perceived.speed[0]], [0.0]])
     kalman.P = np.eye(3)
-    kalman.F, kalman.H = paper_kalman.phi(q["rho"], perceived.period_s), paper_kalman.A
+    kalman.F, kalman.H = paper.phi(q["rho"], perceived.period_s), paper.A
     kalman.B, kalman.Q, kalman.R = (
         np.array([[0.0], [0.0], [1.0]]),
-        paper_kalman.omega(p),
+        paper.omega(p),
         np.array([[q["sigma_nu"] ** 2]]),
     )
     total = 0.0
@@ -78,7 +78,7 @@ def plain_likelihood(perceived: paper.Perceived, p: Array) -> float:
         if t:
             kalman.predict(u=np.array([[action[t] - q["rho"] * action[t - 1]]]))
         kalman.update(z)
-        if t >= paper_kalman.UNSCORED:
+        if t >= paper.UNSCORED:
             total -= 0.5 * (np.log(kalman.S[0, 0]) + kalman.y[0, 0] ** 2 / kalman.S[0, 0])
     return float(total)
 
@@ -103,10 +103,10 @@ class StatsmodelsDriver(MLEModel):  # type: ignore[misc]
 
     def __init__(self, perceived: paper.Perceived) -> None:
         start = np.array([perceived.measured_m[0], perceived.speed[0], 0.0])
-        super().__init__(perceived.measured_m, k_states=3, loglikelihood_burn=paper_kalman.UNSCORED)
+        super().__init__(perceived.measured_m, k_states=3, loglikelihood_burn=paper.UNSCORED)
         self._perceived = perceived
         self.ssm.initialize_known(start, np.eye(3))
-        self["design"], self["selection"] = paper_kalman.A, np.eye(3)
+        self["design"], self["selection"] = paper.A, np.eye(3)
         self["state_intercept"] = np.zeros((3, len(perceived.measured_m)))
 
     @property
@@ -120,16 +120,14 @@ class StatsmodelsDriver(MLEModel):  # type: ignore[misc]
         p = defaults()
         p[PLACES] = np.exp(params)
         q = dict(zip(NAMES, p, strict=True))
-        self["transition"] = paper_kalman.phi(q["rho"], self._perceived.period_s)
-        self["state_cov"], self["obs_cov"] = paper_kalman.omega(p), np.array([[q["sigma_nu"] ** 2]])
+        self["transition"] = paper.phi(q["rho"], self._perceived.period_s)
+        self["state_cov"], self["obs_cov"] = paper.omega(p), np.array([[q["sigma_nu"] ** 2]])
         action = plain_actions(self._perceived, p)
         self["state_intercept", 2, :-1] = action[1:] - q["rho"] * action[:-1]
 
     def without_2_pi(self, log_likelihood: float) -> float:
         """Convert the log-likelihood of statsmodels to the paper's (Eq. SSM_Likelihood), which has no 2 pi term."""
-        return log_likelihood + 0.5 * (len(self._perceived.measured_m) - paper_kalman.UNSCORED) * float(
-            np.log(2.0 * np.pi)
-        )
+        return log_likelihood + 0.5 * (len(self._perceived.measured_m) - paper.UNSCORED) * float(np.log(2.0 * np.pi))
 
 
 def peers() -> tuple[SpeedFigure, ...]:

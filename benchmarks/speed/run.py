@@ -15,12 +15,11 @@ from pathlib import Path
 
 from benchmarks.speed.timing import SpeedFigure, jam
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.filters.compiled import CompiledKalman
-from sugiyama_ros.filters.engine import NO_REAR
 from sugiyama_ros.filters.extract import chain_behind
+from sugiyama_ros.filters.kalman import NO_REAR
 from sugiyama_ros.filters.online import OnlineFilter
 from sugiyama_ros.filters.online_kernel import step
-from sugiyama_ros.filters.online_state import online_arrays
+from sugiyama_ros.filters.online_memory import online_arrays
 from sugiyama_ros.formats.convert import write_trajectories
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.mcap_writer import BagWriter
@@ -35,12 +34,12 @@ KINDS = {"topics_of_each_vehicle": (), "one_message": ("--array",)}
 
 
 @kernel(cached=False)
-def _steps(memory: Array, layout: Ints, position: Array, identity: Ints, length: Array) -> None:
+def _steps(memory: Array, position: Array, identity: Ints, length: Array) -> None:
     """Take in the samples (T, M) of one driver's chain."""
-    sample = online_arrays(memory, layout).sample
+    sample = online_arrays(memory).sample
     for t in range(len(position)):
         sample.position[:], sample.identity[:], sample.length[:] = position[t], identity[t], length[t]
-        step(memory, layout)
+        step(memory)
 
 
 def filters_s(t: Trajectories) -> float:
@@ -48,9 +47,8 @@ def filters_s(t: Trajectories) -> float:
     work = []
     for driver in range(len(t.vehicle)):
         chain, kalman = chain_behind(t, driver), OnlineFilter(t.period_s, t.road).kalman
-        assert isinstance(kalman, CompiledKalman)
         kalman.arrays.sample.rear[:] = NO_REAR
-        work.append((kalman.memory, kalman.layout, chain.position_m, chain.identity, chain.length_m))
+        work.append((kalman.memory, chain.position_m, chain.identity, chain.length_m))
     first = work[0]
     _steps(first[0].copy(), *first[1:])  # compiles
     began_s = time.process_time()

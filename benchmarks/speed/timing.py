@@ -14,8 +14,8 @@ from unittest import mock
 
 from sugiyama_ros.driver.parameters import defaults
 from sugiyama_ros.filters import causal
-from sugiyama_ros.filters.causal_kernel import Observed
-from sugiyama_ros.filters.causal_kernel import run as run_filter
+from sugiyama_ros.filters.causal import Observed
+from sugiyama_ros.filters.causal import run as run_filter
 from sugiyama_ros.studies.rings import CARS, RING_M, Ring, run
 from sugiyama_ros.trajectories.trajectories import Trajectories
 

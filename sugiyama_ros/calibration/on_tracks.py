@@ -25,7 +25,7 @@ from sugiyama_ros.calibration.result import (
     of_fits,
 )
 from sugiyama_ros.driver.parameters import SIGMA_A, index
-from sugiyama_ros.drives import Drive
+from sugiyama_ros.filters.extract import Drive
 from sugiyama_ros.fit.driver import (
     START_SIGMA_A,
     DriverChains,

@@ -11,13 +11,12 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.driver.constants import CONSTANTS
-from sugiyama_ros.driver.parameters import index
+from sugiyama_ros.driver.parameters import CONSTANTS, index
 from sugiyama_ros.effects.discovered_force import COVARIATES, KNOTS
 from sugiyama_ros.effects.effect import MEASUREMENT, Effect, RecordingExtent
 from sugiyama_ros.effects.registry import EFFECTS, MECHANISM, ROW, index_of
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.filters.roughness import SIGMAS
+from sugiyama_ros.filters.first_look import SIGMAS
 from sugiyama_ros.fit.joint import LARGEST_STD
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded

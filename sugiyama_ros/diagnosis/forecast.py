@@ -25,9 +25,8 @@ from scipy.special import gammaln, ndtr
 from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.driver.parameters import SIGMA_NU, at_period, horizon_at, index
 from sugiyama_ros.driver.utility import ACTIONS
-from sugiyama_ros.effects.sensing import displacements, is_contaminated, noise_std_factors, weigh
-from sugiyama_ros.filters.causal import ChainJob, filter_each
-from sugiyama_ros.filters.causal_kernel import SETTLING
+from sugiyama_ros.effects.control import displacements, is_contaminated, noise_std_factors, weigh
+from sugiyama_ros.filters.causal import SETTLING, ChainJob, filter_each
 from sugiyama_ros.filters.chain import adaptation_of
 from sugiyama_ros.filters.state import STATE
 from sugiyama_ros.fit.model import Model

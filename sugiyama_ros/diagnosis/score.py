@@ -21,7 +21,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.diagnosis.candidates import OF_SOME, Candidate, Start, with_candidate
 from sugiyama_ros.diagnosis.covariates import forces
-from sugiyama_ros.effects.sensing import is_contaminated
+from sugiyama_ros.effects.control import is_contaminated
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model import Model, NewtonStep, moved
 from sugiyama_ros.fit.recording import Recorded

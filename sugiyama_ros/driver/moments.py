@@ -213,15 +213,11 @@ def mean_actions(
     mean: Array,
     partials: Array,
 ) -> None:
-    """Compute mean actions and their derivatives by the utility's parameters.
+    """Compute mean actions [m/s^2] at T moments and their derivatives by the utility's parameters, where ``wanted``.
 
     The derivative of a Boltzmann mean is a covariance: d mean(a) = lambda cov(a, d utility).
 
-    gap, speed, leader_speed: (T,), gap [m], infinite without a leader, speed [m/s] and leader's speed [m/s] at T
-    moments; parameters: (P,), parameters of the driver at this period; actions: (K,), accelerations [m/s^2] that the
-    driver considers; period: length of a period [s]; wanted: (7,), whether each derivative is computed; the other
-    derivatives are 0; mean: (T,), filled with the mean actions [m/s^2]; partials: (T, 7), filled with the derivatives
-    of the mean actions by the parameters in ``UTILITY``.
+    parameters: (P,), at this period; wanted: (7,); mean, partials: (T,) and (T, 7), filled, with 0 elsewhere.
     """
     driver, shape = preferences(parameters), (len(actions), BLOCK)
     v_star, rationality, factors = driver[0], driver[-1], _factors(driver)

@@ -48,20 +48,7 @@ class Parameter:
 
 
 def check_declared(owner: str, parameters: Sequence[Parameter]) -> None:
-    """Check the name and the parameters that an effect or a law declares, which may come from another package.
-
-    Parameters
-    ----------
-    owner : str
-        Name of the effect or the law.
-    parameters : sequence of Parameter
-        Its parameters.
-
-    Raises
-    ------
-    InputError
-        For a name that commands cannot use, or parameters with which a driver's row cannot be laid out.
-    """
+    """Check the name and the parameters of an effect or a law of another package. Raises InputError."""
     if not isinstance(owner, str) or not owner.isidentifier():
         raise InputError(f"{owner!r}: is no name; use letters, digits and underscores")
     if not isinstance(parameters, tuple) or not all(isinstance(p, Parameter) for p in parameters):
@@ -112,34 +99,67 @@ REFERENCE_PERIOD_S = 1.0 / 3.0
 REFERENCE_HORIZON = 4
 
 
-def defaults(drivers: int | None = None) -> Array:
-    """Return the paper's parameters.
+@dataclass(frozen=True)
+class Constants:
+    """Constants that become free together.
 
-    Parameters
-    ----------
-    drivers : int, optional
-        Number of identical drivers.
-
-    Returns
-    -------
-    ndarray, shape (P,) or (drivers, P)
-        Parameters of one driver, or of all drivers if ``drivers`` is given.
+    name: Name of the group; parameters: Names of the constants; title: Name for people; summary: Explanation in one
+    line; individual: Whether every driver has individual values; is_noise: Whether the constants change only noises
+    and not the mean motion.
     """
+
+    name: str
+    parameters: tuple[str, ...]
+    title: str
+    summary: str
+    individual: bool = False
+    is_noise: bool = False
+
+
+#: Constants that the paper fixes, in groups that act together.
+CONSTANTS = (
+    Constants(
+        "response_constants",
+        ("kappa_c", "kappa_d", "kappa_1"),
+        "softer or harder response",
+        "gap scales and the width of the desired-speed reward are fitted instead of the paper's constants",
+    ),
+    Constants(
+        "noise_constants",
+        ("rho", "sigma_x", "sigma_v"),
+        "other noise of the motion",
+        "noises of position, speed and acceleration are fitted instead of the paper's constants",
+        is_noise=True,
+    ),
+    Constants(
+        "rationality",
+        ("rationality",),
+        "sharper or looser choices",
+        "how sharply a driver prefers the best action is fitted for each driver",
+        individual=True,
+    ),
+    Constants(
+        "risk_constants",
+        ("kappa_c", "kappa_d"),
+        "own gap scales of each driver",
+        "gap scales at standstill and per closing speed are fitted for each driver",
+        individual=True,
+    ),
+)
+
+
+def defaults(drivers: int | None = None) -> Array:
+    """Return the paper's parameters (P,), or (drivers, P) of identical drivers."""
     row = np.array([p.default for p in PARAMETERS])
     return row if drivers is None else np.tile(row, (drivers, 1))
 
 
 def population() -> Array:
-    """Return the parameters of a driver about whom nothing is known yet.
+    """Return the parameters (P,) of a driver about whom nothing is known yet.
 
-    These are the paper's parameters except for the acceleration noise. The paper reduces the noise for its simulations
-    (section 4.1). Here the noise is the mean over the 22 drivers of the measured experiment, fitted with the paper's
+    These are the paper's parameters except for the acceleration noise, which the paper reduces for its simulations
+    (section 4.1): here it is the mean over the 22 drivers of the measured experiment, fitted with the paper's
     likelihood.
-
-    Returns
-    -------
-    ndarray, shape (P,)
-        Parameters at the reference period.
     """
     known = defaults()
     known[SIGMA_A] = 0.68
@@ -147,31 +167,14 @@ def population() -> Array:
 
 
 def index(name: str) -> int:
-    """Return the index of a parameter in the vector.
-
-    Raises
-    ------
-    InputError
-        For an unknown name. The message lists the names.
-    """
+    """Return the index of a parameter in the vector. Raises InputError."""
     if name not in NAMES:
         raise InputError(f"parameter {name!r}: not known; the parameters are {', '.join(NAMES)}")
     return NAMES.index(name)
 
 
 def check(parameters: NDArray[np.float64]) -> None:
-    """Check that all parameters lie within their declared bounds.
-
-    Parameters
-    ----------
-    parameters : ndarray, shape (..., P)
-        Parameters of one or more drivers; entries after the first P are not checked.
-
-    Raises
-    ------
-    InputError
-        If an entry lies outside its bounds, or is NaN.
-    """
+    """Check that the first P entries of parameters (..., P) lie within their bounds. Raises InputError."""
     for k, p in enumerate(PARAMETERS):
         values = np.ravel(parameters[..., k])
         outside = values[~((values >= p.lower) & (values <= p.upper))]
@@ -182,18 +185,7 @@ def check(parameters: NDArray[np.float64]) -> None:
 
 
 def check_for_filter(parameters: NDArray[np.float64]) -> None:
-    """Check parameters with which a filter can run: within their bounds, and with noises above 0.
-
-    Parameters
-    ----------
-    parameters : ndarray, shape (..., P)
-        Parameters of one or more drivers; entries after the first P are not checked.
-
-    Raises
-    ------
-    InputError
-        If an entry lies outside its bounds, is NaN, or is a noise of 0.
-    """
+    """Check parameters (..., P) as ``check``, and that a filter can run with their noises. Raises InputError."""
     check(parameters)
     # a filter divides by these and takes their logarithms
     for k in (SIGMA_NU, SIGMA_A):
@@ -206,39 +198,17 @@ def horizon_at(period_s: float) -> int:
     """Return the number of periods that a driver looks ahead.
 
     The look-ahead time is the same at every period, rounded down to whole periods (paper, section 5.4: 6 at 0.2 s).
-
-    Parameters
-    ----------
-    period_s : float
-        Time [s] between two samples.
-
-    Returns
-    -------
-    int
-        Periods of look-ahead, at least 1.
     """
     return max(1, int(REFERENCE_HORIZON * REFERENCE_PERIOD_S / period_s + 1e-6))
 
 
 def at_period(parameters: Array, period_s: float) -> Array:
-    """Rescale parameters from the reference period to another period.
+    """Rescale parameters (..., P), or rows with effects, from the reference period to another period [s].
 
     With h periods of look-ahead, rho becomes rho^(4 / h): the correlation of the noise over the look-ahead stays the
     same (paper, section 5.4: rho^(2/3) at 0.2 s). The paper does not say how to rescale the noises. Here the
     acceleration noise keeps its stationary variance. The position noise and the speed noise keep their variances per
     second.
-
-    Parameters
-    ----------
-    parameters : ndarray, shape (..., P)
-        Parameters at the reference period, or rows with effects; they stay as they are.
-    period_s : float
-        Time [s] between two samples.
-
-    Returns
-    -------
-    ndarray, shape of ``parameters``
-        Parameters at ``period_s``.
     """
     scaled = parameters.copy()
     rho = parameters[..., RHO]
@@ -251,22 +221,7 @@ def at_period(parameters: Array, period_s: float) -> Array:
 
 
 def jacobian_at_reference(parameters: Array, scaled: Array, period_s: float) -> Array:
-    """Compute the derivatives of ``at_period``.
-
-    Parameters
-    ----------
-    parameters : ndarray, shape (P,)
-        Parameters at the reference period.
-    scaled : ndarray, shape (P,)
-        Parameters at ``period_s``: ``at_period(parameters, period_s)``.
-    period_s : float
-        Time [s] between two samples.
-
-    Returns
-    -------
-    ndarray, shape (P, P)
-        Derivative of the scaled parameter of the column by the reference parameter of the row.
-    """
+    """Return the derivatives (P, P) of ``at_period``: of the scaled parameter of the column by the one of the row."""
     rho, sigma_a, there = float(parameters[RHO]), float(parameters[SIGMA_A]), float(scaled[RHO])
     ratio = REFERENCE_HORIZON / horizon_at(period_s)
     rho_slope = ratio * rho ** (ratio - 1.0)

@@ -5,7 +5,7 @@ The gap is infinite without a leader. All functions are compiled. The parameters
 of ``driver.parameters``, rescaled to the period.
 """
 
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -37,10 +37,10 @@ UTILITY_ROW, GRID_ROW, _HANDICAP, _GAP, _SCALE = range(5)
 _WEIGHT, _WEIGHTED = _GAP, _SCALE
 #: A row that is free between ``utilities`` and ``boltzmann_mean``.
 FREE_ROW = _GAP
-# The length of a row is a multiple of this number, and a row is summed in this number of lanes. A vector instruction
-# then adds several entries, in a fixed order. With fastmath, compilers would choose the order, and the rounding would
-# differ from one compilation to the next.
-_LANES = 16
+# The length of a row is a multiple of this number, and a row is summed in this number of partial sums. A vector
+# instruction then adds several entries, in a fixed order. With fastmath, compilers would choose the order, and the
+# rounding would differ from one compilation to the next.
+_SUMS = 16
 #: Gap [m] of a driver without a leader, in place of an infinite gap: no risk, and all numbers stay finite.
 FAR = 1e9
 #: Speed [m/s] above which driving backward costs less than 1e-20.
@@ -62,19 +62,9 @@ def backward_penalty(speed: float) -> float:
     return exponential(exponent if exponent < _EXPONENT_CAP else _EXPONENT_CAP)
 
 
-@kernel
-def desired_speed_reward(speed: float, v_star: float, kappa_1: float) -> float:
-    """Compute phi1: the reward of driving forward near the desired speed; first equation of section 3.2.1."""
-    return forward_reward(speed, v_star, kappa_1) - backward_penalty(speed)
-
-
 @kernel(vectorised=True)
 def gap_scale(speed: float, leader_speed: float, kappa_c: float, kappa_v: float, kappa_d: float) -> float:
-    """Compute sigma, the gap within which a driver feels at risk; text below Eq. PairwiseCollisionPenalty.
-
-    speed, leader_speed: speeds of the driver and of the leader [m/s]; kappa_c, kappa_v, kappa_d: gap scale at
-    standstill [m], per speed [s] and per closing speed [s]. Returns gap scale [m].
-    """
+    """Compute sigma [m], the gap within which a driver feels at risk; text below Eq. PairwiseCollisionPenalty."""
     closing = speed - leader_speed
     return kappa_c + kappa_v * abs(speed) + kappa_d * (closing if closing > 0.0 else 0.0)
 
@@ -90,12 +80,9 @@ def collision_penalty(ratio: float) -> float:
 def anticipate(
     action: float, tau: float, gap: float, speed: float, leader_speed: float, period: float
 ) -> tuple[float, float]:
-    """Predict the gap and the speed if the driver holds an action and the leader keeps their speed.
+    """Predict the gap [m] and the speed [m/s] after ``tau`` periods if the driver holds an action [m/s^2].
 
-    Euler's rule as in Eq. ssm_form: x_{t+1} = x_t + dt v_t, v_{t+1} = v_t + dt a.
-
-    action: acceleration [m/s^2] that the driver holds; gap, speed, leader_speed: gap [m] and speeds [m/s] now; period:
-    length of a period [s]. Returns gap [m] and speed [m/s] after ``tau`` periods.
+    The leader keeps their speed. Euler's rule as in Eq. ssm_form: x_{t+1} = x_t + dt v_t, v_{t+1} = v_t + dt a.
     """
     gap_ahead = gap + period * tau * (leader_speed - speed) - period * period * action * (0.5 * tau * (tau - 1))
     return gap_ahead, speed + tau * period * action
@@ -126,20 +113,6 @@ def gap_and_scale(
 
 
 @kernel(vectorised=True)
-def reward_and_risk(next_speed: float, gap: float, scale: float, driver: Preferences) -> float:
-    """Compute the effective utility without the cost of driving backward; Eq. EffectiveUtilityTilde.
-
-    The penalty F falls as its argument grows. So the largest penalty in the look-ahead, g2 of section 3.2.2, is the
-    penalty at the smallest ratio of gap to scale.
-
-    next_speed: speed [m/s] after one period; gap, scale: gap [m] and its scale [m] where their ratio is smallest in the
-    look-ahead.
-    """
-    v_star, _, kappa_1, _, _, omega_2, _ = driver
-    return forward_reward(next_speed, v_star, kappa_1) + omega_2 * collision_penalty(gap / scale)
-
-
-@kernel(vectorised=True)
 def _smallest_gaps(
     gap: float, speed: float, leader_speed: float, driver: Preferences, scratch: Array, period: float, horizon: int
 ) -> None:
@@ -158,11 +131,15 @@ def _smallest_gaps(
 
 @kernel(vectorised=True)
 def _add_up(speed: float, driver: Preferences, scratch: Array, period: float) -> None:
-    """Compute the utility of each action without the cost of driving backward."""
+    """Compute the utility of each action without the cost of driving backward; Eq. EffectiveUtilityTilde.
+
+    The penalty falls as its argument grows. So the largest penalty in the look-ahead, g2 of section 3.2.2, is the
+    penalty at the smallest ratio of gap to scale.
+    """
+    v_star, _, kappa_1, _, _, omega_2, _ = driver
     for k in range(scratch.shape[1]):
-        scratch[UTILITY_ROW, k] = reward_and_risk(
-            speed + period * scratch[GRID_ROW, k], scratch[_GAP, k], scratch[_SCALE, k], driver
-        )
+        reward = forward_reward(speed + period * scratch[GRID_ROW, k], v_star, kappa_1)
+        scratch[UTILITY_ROW, k] = reward + omega_2 * collision_penalty(scratch[_GAP, k] / scratch[_SCALE, k])
 
 
 @kernel(vectorised=True)
@@ -176,14 +153,11 @@ def _take_off_backward(speed: float, scratch: Array, period: float) -> None:
 def utilities(
     gap: float, speed: float, leader_speed: float, driver: Preferences, scratch: Array, period: float, horizon: int
 ) -> None:
-    """Compute the effective utility of holding each action; Eq. EffectiveUtilityTilde.
+    """Compute the effective utility of holding each action into UTILITY_ROW of ``scratch_for``.
 
     Every loop over the actions stands in its own function, so that compilers turn it into vector instructions. The
     functions take the whole scratch array, and their caller is inlined; otherwise compiled code would count references
     to arrays.
-
-    gap, speed, leader_speed: gap [m], infinite without a leader, speed [m/s] and leader's speed [m/s]; scratch: (5, at
-    least K), made by ``scratch_for``; UTILITY_ROW is filled with the utilities; period: length of a period [s].
     """
     _smallest_gaps(min(gap, FAR), speed, leader_speed, driver, scratch, period, horizon)
     _add_up(speed, driver, scratch, period)
@@ -194,38 +168,35 @@ def utilities(
 @kernel(vectorised=True)
 def _best(scratch: Array) -> float:
     """Find the largest utility."""
-    for k in range(_LANES):
+    for k in range(_SUMS):
         scratch[_WEIGHT, k] = scratch[UTILITY_ROW, k]
-    for start in range(_LANES, scratch.shape[1], _LANES):
-        for lane in range(_LANES):
-            other = scratch[UTILITY_ROW, start + lane]
-            scratch[_WEIGHT, lane] = other if other > scratch[_WEIGHT, lane] else scratch[_WEIGHT, lane]
+    for start in range(_SUMS, scratch.shape[1], _SUMS):
+        for part in range(_SUMS):
+            other = scratch[UTILITY_ROW, start + part]
+            scratch[_WEIGHT, part] = other if other > scratch[_WEIGHT, part] else scratch[_WEIGHT, part]
     best: float = scratch[_WEIGHT, 0]
-    for lane in range(1, _LANES):
-        best = scratch[_WEIGHT, lane] if scratch[_WEIGHT, lane] > best else best
+    for part in range(1, _SUMS):
+        best = scratch[_WEIGHT, part] if scratch[_WEIGHT, part] > best else best
     return best
 
 
 @kernel(vectorised=True)
 def _sum(scratch: Array, row: int) -> float:
     """Sum up a row of the scratch array, and overwrite it."""
-    for start in range(_LANES, scratch.shape[1], _LANES):
-        for lane in range(_LANES):
-            scratch[row, lane] += scratch[row, start + lane]
-    for lane in range(8):
-        scratch[row, lane] += scratch[row, lane + 8]
-    for lane in range(4):
-        scratch[row, lane] += scratch[row, lane + 4]
+    for start in range(_SUMS, scratch.shape[1], _SUMS):
+        for part in range(_SUMS):
+            scratch[row, part] += scratch[row, start + part]
+    for part in range(8):
+        scratch[row, part] += scratch[row, part + 8]
+    for part in range(4):
+        scratch[row, part] += scratch[row, part + 4]
     total: float = (scratch[row, 0] + scratch[row, 1]) + (scratch[row, 2] + scratch[row, 3])
     return total
 
 
 @kernel(vectorised=True, inline=True)
 def boltzmann_mean(scratch: Array, rationality: float) -> float:
-    """Compute the Boltzmann mean of the actions.
-
-    scratch: (5, at least K), filled by ``utilities``. Returns mean action [m/s^2].
-    """
+    """Compute the Boltzmann mean of the actions [m/s^2] in ``scratch``, which ``utilities`` has filled."""
     best = _best(scratch)
     for k in range(scratch.shape[1]):
         scratch[_WEIGHT, k] = exponential(rationality * (scratch[UTILITY_ROW, k] + scratch[_HANDICAP, k] - best))
@@ -236,13 +207,13 @@ def boltzmann_mean(scratch: Array, rationality: float) -> float:
 
 @kernel
 def scratch_for(actions: Array) -> Array:
-    """Make the array in which a driver considers the actions, moment after moment.
+    """Make the array (5, at least K) in which a driver considers actions (K,) [m/s^2], moment after moment.
 
-    actions: (K,), accelerations [m/s^2] that the driver considers. Returns (5, at least K), rows: utilities; actions; 0
-    for an action, and a very low utility for an entry that only fills up the row; two rows for intermediate results.
+    Its rows: utilities; actions; 0 for an action, and a very low utility for an entry that only fills up the row; two
+    rows for intermediate results.
     """
     count = len(actions)
-    scratch = np.zeros((5, -(-count // _LANES) * _LANES))
+    scratch = np.zeros((5, -(-count // _SUMS) * _SUMS))
     for k in range(scratch.shape[1]):
         scratch[GRID_ROW, k] = actions[min(k, count - 1)]
         if k >= count:
@@ -250,24 +221,17 @@ def scratch_for(actions: Array) -> Array:
     return scratch
 
 
-@kernel(inline=True)
-def considered_action(
-    gap: float, speed: float, leader_speed: float, parameters: Array, scratch: Array, period: float, horizon: int
+@kernel
+def mean_action(
+    gap: float, speed: float, leader_speed: float, parameters: Array, actions: Array, period: float, horizon: int
 ) -> float:
-    """Compute ``mean_action`` in an array made by ``scratch_for``, which can be used again and again."""
-    driver = preferences(parameters)
+    """Compute the Boltzmann mean [m/s^2] of actions (K,) for parameters (P,); Eqs. MeanAction to PartitionFunction."""
+    driver, scratch = preferences(parameters), scratch_for(actions)
     utilities(gap, speed, leader_speed, driver, scratch, period, horizon)
     return boltzmann_mean(scratch, driver[-1])
 
 
 @kernel
-def mean_action(
-    gap: float, speed: float, leader_speed: float, parameters: Array, actions: Array, period: float, horizon: int
-) -> float:
-    """Compute the Boltzmann mean of the actions; Eqs. MeanAction to PartitionFunction.
-
-    gap, speed, leader_speed: gap [m], infinite without a leader, speed [m/s] and leader's speed [m/s]; parameters:
-    (P,), parameters of the driver at this period; actions: (K,), accelerations [m/s^2] that the driver considers;
-    period: length of a period [s]. Returns mean action [m/s^2].
-    """
-    return considered_action(gap, speed, leader_speed, parameters, scratch_for(actions), period, horizon)
+def advance(position: Any, speed: Any, acceleration: Any, period: float) -> tuple[Any, Any]:
+    """Return positions [m] and speeds [m/s] of vehicles one period [s] later, by Euler's rule (Eq. ssm_form)."""
+    return position + period * speed, speed + period * acceleration

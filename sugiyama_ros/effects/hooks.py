@@ -39,8 +39,8 @@ PERCEIVE, PREFER, VALUE, ACTUATE, PUSH, CHANGE, EXPECT, NOISE, DISPLACE, UNEVEN,
 # Words of a function: its address, first and end of its parameters in a row, first and end of its switches; for a law
 # its number in place of the switches.
 _ADDRESS, PARAMETERS, _END, _SWITCH, _LAST_SWITCH = range(5)
-#: Number of words of a function.
-WORDS = 5
+# Number of words of a function.
+_WORDS = 5
 _HEADS = by_address.HOOKS_AT
 
 _seen = type_of(Seen(*(0.0 for _ in Seen._fields)))
@@ -62,15 +62,9 @@ _LAW, call_law = calling(_number, _number, _number, _number, _numbers)
 
 
 @kernel(allocates=False)
-def first_of(hook: int) -> int:
-    """Return the place of the first function of a hook in the table; the next one is ``WORDS`` further on."""
-    return int(word(_HEADS + 4 * hook))
-
-
-@kernel(allocates=False)
-def end_of(hook: int) -> int:
-    """Return the place after the last function of a hook in the table."""
-    return int(word(_HEADS + 4 * hook + 1))
+def functions_of(hook: int) -> Any:
+    """Return the places of the functions of a hook in the table."""
+    return range(word(_HEADS + 4 * hook), word(_HEADS + 4 * hook + 1), _WORDS)
 
 
 @kernel(allocates=False)
@@ -188,9 +182,9 @@ def _fill(hook: int, effects: list[tuple[Effect, Any]], signature: Any) -> None:
     """Put the functions of a hook into the table; without a signature only the switches."""
     places = [switches([e]) for e, _ in effects]
     first, end = _put([k for each in places for k in each])
-    start, last = _put([0] * (WORDS * len(effects) if signature else 0))
+    start, last = _put([0] * (_WORDS * len(effects) if signature else 0))
     at = first
-    for place, (e, function), own_switches in zip(count(start, WORDS), effects, places, strict=False):
+    for place, (e, function), own_switches in zip(count(start, _WORDS), effects, places, strict=False):
         if signature:
             row = ROW.places[e.name]
             by_address.put(place, [0, row.start, row.stop, at, at + len(own_switches)])
@@ -240,8 +234,8 @@ def _fill_all() -> None:
     first, end = _put([ROW.places[e.name].start for e in EFFECTS.values() if e.looks_back])
     by_address.put(_HEADS + 4 * LOOK_BACK, [0, 0, first, end])
     laws = [(number, one) for number, one in enumerate(LAWS.values()) if number != ADAPTIVE_SEEK]
-    start, last = _put([0] * WORDS * len(laws))
-    for place, (number, law) in zip(count(start, WORDS), laws, strict=False):
+    start, last = _put([0] * _WORDS * len(laws))
+    for place, (number, law) in zip(count(start, _WORDS), laws, strict=False):
         row = ROW.law_places[law.name]
         by_address.put(place, [0, row.start, row.stop, number])
         _offer(place, f"law {law.name}", law.function, partial(_kernel, law.function), _LAW)

@@ -4,8 +4,8 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
-from sugiyama_ros.effects.contaminated_normal import contaminated_normal
 from sugiyama_ros.effects.effect import MEASUREMENT, Contamination, Effect, at
+from sugiyama_ros.effects.shared import contaminated_normal
 from sugiyama_ros.jit import kernel
 
 

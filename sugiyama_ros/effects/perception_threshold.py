@@ -20,10 +20,6 @@ def expected_change(wanted: float, variance: float, period: float, p: Array) -> 
 
     Statistical linearisation, exact in the three moments that are returned.
 
-    wanted, variance: mean [m/s^2] and variance [m^2/s^4] of the wanted change; period: length of the period [s]; not
-    used; p: (1,), threshold [m/s^2]. Returns mean [m/s^2] of the change that is carried out, its regression on the
-    wanted change, and the variance [m^2/s^4] that the regression leaves.
-
     References
     ----------
     Gelb, Applied Optimal Estimation (1974), section 6.2.

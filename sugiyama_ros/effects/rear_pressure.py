@@ -6,7 +6,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
 from sugiyama_ros.driver.utility import Preferences
 from sugiyama_ros.effects.effect import ACTUATION, UTILITY, Effect, Seen, at
-from sugiyama_ros.effects.risk import risk_behind
+from sugiyama_ros.effects.shared import risk_behind
 from sugiyama_ros.jit import kernel
 
 

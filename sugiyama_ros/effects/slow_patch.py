@@ -3,7 +3,7 @@
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
 from sugiyama_ros.effects.effect import PREFERENCE, Effect, Seen
-from sugiyama_ros.effects.place import PLACE, around, bump
+from sugiyama_ros.effects.shared import PLACE, around, bump
 from sugiyama_ros.jit import kernel
 
 

@@ -10,117 +10,175 @@ larger than the model says. Sums over blocks of time tell by how much, and the r
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-
-import numpy as np
+from typing import NamedTuple
 
 from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.filters.state import Linearised, State
+from sugiyama_ros.jit import kernel
 
-#: Time [s] from one possible onset to the next, and how long one is watched.
-ONSET_S, WATCHED_S = 2.0, 30.0
-#: Mean time [s] between two false alarms of a driver, at least, where the model is right.
-BETWEEN_FALSE_S = 7200.0
-#: Prior standard deviation of a jump of a logarithm.
-JUMP_STD = 0.15
-#: Normalised innovation beyond which a sample tells no more: one gross error is no change of style.
-LARGEST = 3.5
-#: Time [s] of a block of innovations, time over which blocks count, and time in which no alarm is given at first.
-BLOCK_S, BLOCKS_S, QUIET_S = 4.0, 100.0, 30.0
-#: Standard errors by which the blocks must exceed what white innovations make of them.
-SURE = 2.0
-
-
-@dataclass(frozen=True)
-class Change:
-    """Which of the adapted parameters has jumped, and by how much (its logarithm)."""
-
-    number: int
-    jump: float
+# Time [s] from one possible onset to the next, and how long one is watched.
+_ONSET_S, _WATCHED_S = 2.0, 30.0
+# Mean time [s] between two false alarms of a driver, at least, where the model is right.
+_BETWEEN_FALSE_S = 7200.0
+# Prior variance of a jump of a logarithm.
+_JUMP_VAR = 0.15**2
+# Normalised innovation beyond which a sample tells no more: one gross error is no change of style.
+_LARGEST = 3.5
+# Time [s] of a block of innovations, time over which blocks count, and time in which no alarm is given at first.
+_BLOCK_S, _BLOCKS_S, _QUIET_S = 4.0, 100.0, 30.0
+# Standard errors by which the blocks must exceed what white innovations make of them.
+_SURE = 2.0
+# Entries of ``Alarm.colour``.
+_BLOCK, _KEPT, _QUIET, _SAMPLES, _SUM, _BLOCKS, _SQUARES = range(7)
 
 
-class StyleAlarm:
-    """Watches the innovations of a filter for jumps of some entries of its state.
+def onsets_for(period_s: float) -> tuple[int, int]:
+    """Return periods from one onset to the next, and number of onsets that are watched."""
+    every = max(1, round(_ONSET_S / period_s))
+    return every, max(1, round(_WATCHED_S / (every * period_s)))
 
-    places: entries of the state that may jump, (J,); size: number of entries of the state; period_s: time between two
-    samples [s].
+
+class Alarm(NamedTuple):
+    """Watches the innovations of a filter for jumps of the last entries of its state.
+
+    It has C columns, one for each onset and entry, the entries of an onset side by side; C = 0 where no parameter is
+    adapted. signature, moved: (N, C), the second is overwritten; known, seen: (C,); threshold: (1,); every: (1,)
+    periods from one onset to the next; periods: (1,) since the alarm began; onsets: (1,) their number; colour: (7,),
+    samples in a block, what is kept of the sums in a block, samples without an alarm at first; then the number of
+    samples, the sum in this block, the number of blocks with forgetting, and the sum of their squares.
     """
 
-    def __init__(self, places: Sequence[int], size: int, period_s: float) -> None:
-        self._places = list(places)
-        self._every = max(1, round(ONSET_S / period_s))
-        onsets = max(1, round(WATCHED_S / (self._every * period_s)))
-        self._threshold = BETWEEN_FALSE_S / (self._every * period_s)
-        self._block, self._quiet = max(1, round(BLOCK_S / period_s)), QUIET_S / period_s
-        self._kept = math.exp(-self._block * period_s / BLOCKS_S)
-        self._samples, self._sum, self._blocks, self._squares = 0, 0.0, 0.0, 0.0
-        # a column for every onset and entry, entries of one onset side by side
-        columns = onsets * len(self._places)
-        self._signature: Array = np.zeros((size, columns))
-        self._known, self._seen = np.zeros(columns), np.zeros(columns)
-        self.reset()
+    signature: Array
+    moved: Array
+    known: Array
+    seen: Array
+    threshold: Array
+    every: Array
+    periods: Array
+    onsets: Ints
+    colour: Array
 
-    def reset(self) -> None:
-        """Begin anew, without the past innovations."""
-        self._periods, self._onsets = 0.0, 0
-        self._signature[:], self._known[:], self._seen[:] = 0.0, 0.0, 0.0
+    def begin(self, period_s: float) -> None:
+        """Put in how the alarm is given."""
+        every, _ = onsets_for(period_s)
+        self.every[0], self.threshold[0] = every, _BETWEEN_FALSE_S / (every * period_s)
+        block = max(1, round(_BLOCK_S / period_s))
+        self.colour[:3] = block, math.exp(-block * period_s / _BLOCKS_S), _QUIET_S / period_s
 
-    def predict(self, jacobian: Array, periods: float = 1.0) -> None:
-        """Go on by some periods with the filter's F."""
-        self._signature = jacobian @ self._signature
-        if self._periods >= self._onsets * self._every:
-            jumps = len(self._places)
-            first = self._onsets * jumps % len(self._known)
-            self._onsets += 1
-            oldest = slice(first, first + jumps)
-            self._signature[:, oldest] = 0.0
-            self._signature[self._places, np.arange(first, first + jumps)] = 1.0
-            self._known[oldest], self._seen[oldest] = 0.0, 0.0
-        self._periods += periods
 
-    def observe(self, innovation: float, variance: float) -> None:
-        """Take in the driver's own innovation [m] and its variance, before the filter is updated with it."""
-        std = math.sqrt(variance)
-        normal = min(max(innovation / std, -LARGEST), LARGEST)
-        self._samples += 1
-        self._sum += normal
-        if self._samples % self._block == 0:
-            self._blocks = self._kept * self._blocks + 1.0
-            self._squares = self._kept * self._squares + self._sum * self._sum / self._block
-            self._sum = 0.0
-        excess, signature = self.excess, self._signature[0]
-        self._known += signature * signature / (variance * excess)
-        self._seen += signature * (normal / (std * excess))
+@kernel(allocates=False)
+def reset_alarm(alarm: Alarm) -> None:
+    """Begin anew, without the past innovations."""
+    alarm.periods[0] = 0.0
+    alarm.onsets[0] = 0
+    alarm.signature[:] = 0.0
+    alarm.known[:] = 0.0
+    alarm.seen[:] = 0.0
 
-    def update(self, gain: Array, measured: Ints) -> None:
-        """After the filter's update with the entries ``measured`` (m,) of its state; gain: (size, m)."""
-        self._signature -= gain @ self._signature[measured]
 
-    @property
-    def excess(self) -> float:
-        """Variance of a sum of innovations, over the variance that it has if they are white; at least 1."""
-        if self._blocks == 0.0:
-            return 1.0
-        return max(1.0, self._squares / self._blocks - SURE * math.sqrt(2.0 / self._blocks))
+@kernel(allocates=False)
+def predict_alarm(alarm: Alarm, linearised: Linearised, first: int, periods: float) -> None:
+    """Go on by some periods with the filter's F; first: of the entries of the state that may jump, the last ones."""
+    signature, moved = alarm.signature, alarm.moved
+    size, columns = signature.shape
+    for i in range(size):
+        moved[i] = 0.0
+        for c in range(linearised.counts[i]):
+            k = linearised.columns[i, c]
+            factor = linearised.jacobian[i, k]
+            for j in range(columns):
+                moved[i, j] += factor * signature[k, j]
+    for i in range(size):
+        for j in range(columns):
+            signature[i, j] = moved[i, j]
+    if alarm.periods[0] >= alarm.onsets[0] * alarm.every[0]:
+        jumps = size - first
+        oldest = alarm.onsets[0] * jumps % columns
+        alarm.onsets[0] += 1
+        for j in range(jumps):
+            signature[:, oldest + j] = 0.0
+            signature[first + j, oldest + j] = 1.0
+            alarm.known[oldest + j] = alarm.seen[oldest + j] = 0.0
+    alarm.periods[0] += periods
 
-    @property
-    def ratio(self) -> float:
-        """Sum of the likelihood ratios over the onsets, divided by the sum at which the alarm is given."""
-        return float(np.exp(self._log_ratios).sum()) / (self._threshold * len(self._places))
 
-    @property
-    def _log_ratios(self) -> Array:
-        certain = self._known + 1.0 / JUMP_STD**2
-        return 0.5 * self._seen**2 / certain - 0.5 * np.log(certain * JUMP_STD**2)
+@kernel(allocates=False)
+def observe(alarm: Alarm, innovation: float, variance: float) -> None:
+    """Take in the driver's own innovation [m] and its variance, before the filter is updated with it."""
+    std = math.sqrt(variance)
+    normal = min(max(innovation / std, -_LARGEST), _LARGEST)
+    _add_up(alarm.colour, normal)
+    excess = excess_of(alarm.colour)
+    weighted, certain = normal / (std * excess), 1.0 / (variance * excess)
+    signature = alarm.signature[0]
+    for j in range(len(signature)):
+        alarm.known[j] += signature[j] * signature[j] * certain
+        alarm.seen[j] += signature[j] * weighted
 
-    def check(self, mean: Array, covariance: Array) -> Change | None:
-        """Return what has jumped if the alarm is given, and correct the filter's mean and covariance in place."""
-        if self._samples < self._quiet or self.ratio < 1.0:
-            return None
-        column = int(np.argmax(self._log_ratios))
-        certain = self._known[column] + 1.0 / JUMP_STD**2
-        jump, signature = float(self._seen[column] / certain), self._signature[:, column].copy()
-        mean += jump * signature
-        covariance += np.outer(signature, signature) / certain
-        self.reset()
-        return Change(column % len(self._places), jump)
+
+@kernel(allocates=False)
+def _add_up(colour: Array, normal: float) -> None:
+    """Add a normalised innovation to the sum of its block."""
+    colour[_SAMPLES] += 1.0
+    colour[_SUM] += normal
+    if colour[_SAMPLES] % colour[_BLOCK] == 0.0:
+        colour[_BLOCKS] = colour[_KEPT] * colour[_BLOCKS] + 1.0
+        colour[_SQUARES] = colour[_KEPT] * colour[_SQUARES] + colour[_SUM] * colour[_SUM] / colour[_BLOCK]
+        colour[_SUM] = 0.0
+
+
+@kernel(allocates=False)
+def excess_of(colour: Array) -> float:
+    """Return the variance of a sum of innovations, over the variance that it has if they are white; at least 1."""
+    if colour[_BLOCKS] == 0.0:
+        return 1.0
+    excess: float = colour[_SQUARES] / colour[_BLOCKS] - _SURE * math.sqrt(2.0 / colour[_BLOCKS])
+    return max(1.0, excess)
+
+
+@kernel(allocates=False)
+def update_alarm(alarm: Alarm, gain: Array, factor: float, measured: int) -> None:
+    """After the filter's update with entry ``measured`` of its state; gain: (N,), factor: entry of H."""
+    signature = alarm.signature
+    size, columns = signature.shape
+    row = alarm.moved[0]
+    for j in range(columns):
+        row[j] = factor * signature[measured, j]
+    for i in range(size):
+        for j in range(columns):
+            signature[i, j] -= gain[i] * row[j]
+
+
+@kernel(allocates=False)
+def check_style(alarm: Alarm, state: State, first: int) -> tuple[float, float]:
+    """Correct the state if the alarm is given; returns which entry from ``first`` on has jumped, or -1, and how far.
+
+    The sum of the likelihood ratios is only worked out if it may reach the threshold.
+    """
+    if alarm.colour[_SAMPLES] < alarm.colour[_QUIET]:
+        return -1.0, 0.0
+    known, seen = alarm.known, alarm.seen
+    columns, jumps = len(known), len(state.mean) - first
+    largest = 0.0
+    for j in range(columns):
+        largest = max(largest, seen[j] * seen[j] / (known[j] + 1.0 / _JUMP_VAR))
+    enough = alarm.threshold[0] * jumps
+    if columns * math.exp(min(0.5 * largest, 700.0)) < enough:
+        return -1.0, 0.0
+    total, best, likeliest = 0.0, -math.inf, 0
+    for j in range(columns):
+        certain = known[j] + 1.0 / _JUMP_VAR
+        ratio = 0.5 * seen[j] * seen[j] / certain - 0.5 * math.log(certain * _JUMP_VAR)
+        total += math.exp(min(ratio, 700.0))
+        if ratio > best:
+            best, likeliest = ratio, j
+    if total < enough:
+        return -1.0, 0.0
+    certain = known[likeliest] + 1.0 / _JUMP_VAR
+    jump, signature = seen[likeliest] / certain, alarm.signature[:, likeliest]
+    for i in range(len(state.mean)):
+        state.mean[i] += jump * signature[i]
+        for j in range(len(state.mean)):
+            state.covariance[i, j] += signature[i] * signature[j] / certain
+    reset_alarm(alarm)
+    return float(likeliest % jumps), jump

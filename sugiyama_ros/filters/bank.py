@@ -8,7 +8,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.effects.effect import Values as Given
 from sugiyama_ros.effects.registry import EFFECTS, ROW, active, effect, switch_on
-from sugiyama_ros.filters.effect_values import EVERY_S, Sensitivity, values_of
+from sugiyama_ros.filters.effect_filter import EVERY_S, Sensitivity, values_of
 from sugiyama_ros.filters.online import NOBODY, OnlineFilter
 from sugiyama_ros.road import Road
 

@@ -14,10 +14,11 @@ except for effects). For the last vehicle the noise is the whole acceleration. P
 as logarithms that wander around their prior (Ornstein-Uhlenbeck), so that a parameter that the data do not determine
 stays near its prior.
 
-``linearisation`` states the model; this module filters recordings with it (``causal_kernel`` is its loop), and
-``online`` filters sample by sample.
+``step`` states the model. This module filters recordings with it, several chains side by side, so that all their
+drivers can consider their actions at once; ``online`` filters one driver as the samples come.
 """
 
+import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -27,16 +28,91 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.driver.parameters import at_period
+from sugiyama_ros.driver.batch import Batch, batch_for, consider, decide
+from sugiyama_ros.driver.parameters import UTILITY, at_period
 from sugiyama_ros.driver.utility import ACTIONS
-from sugiyama_ros.filters.causal_kernel import Observed, Predicted, Trace, run
+from sugiyama_ros.effects.control import feels_accelerations, is_contaminated, remembers
+from sugiyama_ros.filters.abreast import (
+    ABREAST,
+    OFF,
+    SHRINK,
+    SLOPE,
+    STEP,
+    Abreast,
+    abreast_for,
+    begin_period,
+    linearised_of,
+    predict,
+    share_columns,
+    state_of,
+    take_in,
+)
 from sugiyama_ros.filters.chain import NOT_ADAPTED, Adaptation, Chain, adaptation_of, chain_parameters
-from sugiyama_ros.filters.past import periods_back
-from sugiyama_ros.filters.state import STATE, drivers_at, scene_at
-from sugiyama_ros.filters.vectors import ABREAST
+from sugiyama_ros.filters.past import begin_past, entries_of_past, forget_past, periods_back
+from sugiyama_ros.filters.sample import (
+    forget_vehicle,
+    gross_in_a_row,
+    log_density,
+    measurement,
+    noise_var_at,
+    start_vehicle,
+    weights,
+)
+from sugiyama_ros.filters.state import (
+    MOVING,
+    STATE,
+    Drivers,
+    FilterStep,
+    Moment,
+    Scene,
+    State,
+    Workspace,
+    drivers_at,
+    points_of,
+    scene_at,
+    workspace_for,
+)
+from sugiyama_ros.filters.step import add_all_components, aim_all, conclude
+from sugiyama_ros.jit import kernel
 
+#: Samples after the start of a vehicle's record (or after a break) whose innovations are not scored.
+SETTLING = 6
 # Arrays of a chain, in the order of ``Observed``.
 _MEASURED = ("position_m", "identity", "length_m", "rear")
+
+
+class Observed(NamedTuple):
+    """Recordings of C chains: position, identity, length (C, T, M) and rear (C, T, 3), as in ``Chain``.
+
+    start_s: (C,) time of the first sample [s]; samples: (C,) number of samples to filter, at most T.
+    """
+
+    position: Array
+    identity: Ints
+    length: Array
+    rear: Array
+    start_s: Array
+    samples: Ints
+
+
+class Predicted(NamedTuple):
+    """Innovation [m], its variance [m^2] and its log-likelihood, (T,) each, of the own position; NaN where none."""
+
+    innovation: Array
+    innovation_var: Array
+    log_likelihood: Array
+
+
+class Trace(NamedTuple):
+    """Arrays for what is known after the update with each sample; an array of length 0 is not filled.
+
+    means: (C, T, 4 M + A); covariances: (C, T, 4 M + A, 4 M + A); motion: (C, T, 2), own acceleration and what the
+    driver means to do [m/s^2], filled together with the covariances.
+    """
+
+    means: Array
+    covariances: Array
+    motion: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,39 +139,6 @@ class Filtered:
         return np.isfinite(self.sample_log_likelihood)
 
 
-def filter_chain(
-    chain: Chain, parameters: Array, adaptation: Adaptation = NOT_ADAPTED, ahead: Array | None = None
-) -> Filtered:
-    """Filter one driver's chain.
-
-    ahead: parameters of the drivers ahead, as for ``chain_parameters``.
-    """
-    samples, vehicles = chain.position_m.shape
-    size = STATE * vehicles + len(adaptation_of(parameters, adaptation).names)
-    trace = Trace(np.empty((1, samples, size)), np.empty((1, samples, size, size)), np.empty((1, samples, 2)))
-    job, adapted = ChainJob(chain, parameters, ahead), adaptation_of(parameters, adaptation)
-    predicted = _run([job], adapted, trace, np.array([samples]))
-    motion, total = trace.motion[0], float(np.nansum(predicted.log_likelihood))
-    return Filtered(*_first(predicted), trace.means[0], trace.covariances[0], motion[:, 0], motion[:, 1], total)
-
-
-def filter_each(jobs: Sequence["ChainJob"]) -> Iterator[tuple[int, Filtered]]:
-    """Yield the number of each job and what the filter says of its driver; filters run side by side where they can."""
-    for numbers, adaptation in _side_by_side(jobs):
-        some = [jobs[i] for i in numbers]
-        samples = max(len(job.chain.position_m) for job in some)
-        size = STATE * some[0].chain.position_m.shape[1] + len(adaptation.names)
-        shapes = ((size,), (size, size), (2,))
-        trace = Trace(*(np.zeros((len(some), samples, *shape)) for shape in shapes))
-        predicted = _run(some, adaptation, trace, np.array([job.chain.end for job in some]))
-        for k, (i, job) in enumerate(zip(numbers, some, strict=True)):
-            last = len(job.chain.position_m)
-            found = Predicted(*(values[k, :last] for values in predicted))
-            means, covariances, motion = (values[k, :last] for values in trace)
-            total = float(np.nansum(found.log_likelihood))
-            yield i, Filtered(*found, means, covariances, motion[:, 0], motion[:, 1], total)
-
-
 class ChainJob(NamedTuple):
     """One driver to filter: the chain, the driver's parameters and those of the drivers ahead, as ``filter_chain``.
 
@@ -108,53 +151,66 @@ class ChainJob(NamedTuple):
     is_rough: bool = False
 
 
+def filter_chain(
+    chain: Chain, parameters: Array, adaptation: Adaptation = NOT_ADAPTED, ahead: Array | None = None
+) -> Filtered:
+    """Filter one driver's chain; ahead: parameters of the drivers ahead, as for ``chain_parameters``."""
+    return next(filter_each([ChainJob(chain, parameters, ahead)], adaptation))[1]
+
+
+def filter_each(jobs: Sequence[ChainJob], adaptation: Adaptation = NOT_ADAPTED) -> Iterator[tuple[int, Filtered]]:
+    """Yield the number of each job and what the filter says of its driver; filters run side by side where they can."""
+    for i, predicted, (means, covariances, motion) in _filtered(jobs, 3, adaptation):
+        total = float(np.nansum(predicted.log_likelihood))
+        yield i, Filtered(*predicted, means, covariances, motion[:, 0], motion[:, 1], total)
+
+
 def predict_samples(jobs: Sequence[ChainJob]) -> list[Predicted]:
     """Return how well each sample is predicted.
 
     Filters run side by side where they can, which takes less time than one after the other, with the same results.
     """
-    return [predicted for predicted, _ in _filtered(jobs, with_states=False)]
+    found = {i: predicted for i, predicted, _ in _filtered(jobs, 0)}
+    return [found[i] for i in range(len(jobs))]
 
 
 def predict_states(jobs: Sequence[ChainJob]) -> list[tuple[Array, Array, Array, Array]]:
     """Return how well each sample of some drivers is predicted, and the states of their chains."""
-    return [(*predicted, states) for predicted, states in _filtered(jobs, with_states=True)]
-
-
-def _filtered(jobs: Sequence[ChainJob], *, with_states: bool) -> list[tuple[Predicted, Array]]:
-    """Filter drivers, side by side where they can; the predictions and the states (T, STATE M + A), or nothing."""
-    found: dict[int, tuple[Predicted, Array]] = {}
-    for numbers, adaptation in _side_by_side(jobs):
-        some = [jobs[i] for i in numbers]
-        chains = [job.chain for job in some]
-        samples, vehicles = max(len(c.position_m) for c in chains), chains[0].position_m.shape[1]
-        kept = len(numbers) if with_states else 0
-        means = np.zeros((kept, samples, STATE * vehicles + len(adaptation.names)))
-        ends = np.array([chain.end for chain in chains])
-        predicted = _run(some, adaptation, _no_trace()._replace(means=means), ends)
-        for k, (i, chain) in enumerate(zip(numbers, chains, strict=True)):
-            last = len(chain.position_m)
-            states = means[k, :last].copy() if with_states else np.empty((0, 0))
-            found[i] = Predicted(*(values[k, :last] for values in predicted)), states
+    found = {i: (*predicted, trace.means.copy()) for i, predicted, trace in _filtered(jobs, 1)}
     return [found[i] for i in range(len(jobs))]
 
 
 def log_likelihood(chain: Chain, parameters: Array, ahead: Array | None = None) -> float:
-    """Return the log-likelihood of one driver's chain, Eq. SSM_Likelihood without the term of 2 pi.
-
-    Arguments as for ``filter_chain``.
-    """
+    """Return the log-likelihood of one driver's chain, Eq. SSM_Likelihood without the term of 2 pi."""
     return float(np.nansum(predict_samples([ChainJob(chain, parameters, ahead)])[0].log_likelihood))
 
 
-def _side_by_side(jobs: Sequence[ChainJob]) -> Iterator[tuple[list[int], Adaptation]]:
+def _filtered(
+    jobs: Sequence[ChainJob], traced: int, given: Adaptation = NOT_ADAPTED
+) -> Iterator[tuple[int, Predicted, Trace]]:
+    """Filter drivers, side by side where they can; traced: how many of the arrays of ``Trace`` are filled."""
+    for numbers, adaptation in _side_by_side(jobs, given):
+        some = [jobs[i] for i in numbers]
+        samples = max(len(job.chain.position_m) for job in some)
+        size = STATE * some[0].chain.position_m.shape[1] + len(adaptation.names)
+        shapes = ((size,), (size, size), (2,))
+        trace = Trace(*(np.zeros((len(some) if k < traced else 0, samples, *shape)) for k, shape in enumerate(shapes)))
+        predicted = _run(some, adaptation, trace, samples)
+        for k, (i, job) in enumerate(zip(numbers, some, strict=True)):
+            last = len(job.chain.position_m)
+            own = Trace(*(values[k, :last] if len(values) else values for values in trace))
+            yield i, Predicted(*(values[k, :last] for values in predicted)), own
+
+
+def _side_by_side(jobs: Sequence[ChainJob], given: Adaptation) -> Iterator[tuple[list[int], Adaptation]]:
     """Yield the numbers of jobs that can run side by side, a few at a time, and what adapts in their filters.
 
-    Jobs of similar length run together, so that few lanes stay empty at the end.
+    Jobs of similar length run together, so that few filters end long before the others.
     """
     groups: dict[Any, list[int]] = defaultdict(list)
     for i, (chain, parameters, _, is_rough) in enumerate(jobs):
-        same = (chain.position_m.shape[1], chain.period_s, chain.circumference_m, is_rough, adaptation_of(parameters))
+        adaptation = adaptation_of(parameters, given)
+        same = (chain.position_m.shape[1], chain.period_s, chain.circumference_m, is_rough, adaptation)
         groups[same].append(i)
     for (*_, adaptation), numbers in groups.items():
         numbers.sort(key=lambda i: len(jobs[i].chain.position_m))
@@ -162,22 +218,13 @@ def _side_by_side(jobs: Sequence[ChainJob]) -> Iterator[tuple[list[int], Adaptat
             yield numbers[first : first + ABREAST], adaptation
 
 
-def _first(predicted: Predicted) -> Predicted:
-    return Predicted(*(values[0] for values in predicted))
-
-
-def _no_trace() -> Trace:
-    return Trace(np.empty((0, 0, 0)), np.empty((0, 0, 0, 0)), np.empty((0, 0, 0)))
-
-
-def _run(jobs: Sequence[ChainJob], adaptation: Adaptation, trace: Trace, ends: Ints) -> Predicted:
-    """Run the compiled filter with fresh arrays, up to ``ends`` (C,) samples; returns the predictions, (C, T) each."""
+def _run(jobs: Sequence[ChainJob], adaptation: Adaptation, trace: Trace, samples: int) -> Predicted:
+    """Run the compiled filter with fresh arrays, of each driver as long as it is there; (C, T) each."""
     chains, one = [job.chain for job in jobs], jobs[0].chain
     vehicles = one.position_m.shape[1]
     rows = at_period(np.array([chain_parameters(j.parameters, j.ahead, vehicles) for j in jobs]), one.period_s)
-    samples = max(len(chain.position_m) for chain in chains)
     predicted = Predicted(*(np.full((len(jobs), samples), np.nan) for _ in range(3)))
-    start_s = np.array([chain.start_s for chain in chains])
+    start_s, ends = np.array([chain.start_s for chain in chains]), np.array([chain.end for chain in chains])
     position, identity, length, rear = (_stacked([getattr(chain, name) for chain in chains]) for name in _MEASURED)
     run(
         Observed(position, identity, length, rear, start_s, ends),
@@ -204,3 +251,216 @@ def _stacked(arrays: Sequence[Any]) -> Any:
     for row, one in zip(stacked, arrays, strict=True):
         row[: len(one)] = one
     return stacked
+
+
+class _Filters(NamedTuple):
+    """What C filters keep from step to step.
+
+    abreast: their states; known: (C, M) of ``State``; places, root, points: of ``Workspace``, with an axis of C before;
+    parameters, prior_mean: of ``Drivers``, with an axis of C before; waited: (C, M) periods since a vehicle's first
+    position; settled: (C, M) samples since a vehicle's record began; gross: (C, M) gross errors in a row.
+    """
+
+    abreast: Abreast
+    known: Ints
+    places: Ints
+    root: Array
+    points: Ints
+    parameters: Array
+    prior_mean: Array
+    waited: Ints
+    settled: Ints
+    gross: Ints
+
+
+class _Shared(NamedTuple):
+    """What C filters share: arrays that every step overwrites, and the adapted parameters with their prior variance."""
+
+    batch: Batch
+    chosen: Array
+    slope: Array
+    held_slope: Array
+    adapted: Ints
+    prior_var: Array
+
+
+@kernel(allocates=False)
+def _drivers(c: int, filters: _Filters, shared: _Shared) -> Drivers:
+    """Return the drivers of chain c."""
+    return Drivers(filters.parameters[c], shared.adapted, filters.prior_mean[c], shared.prior_var)
+
+
+@kernel(allocates=False)
+def _step_of(c: int, t: int, observed: Observed, filters: _Filters, shared: _Shared, scene: Scene) -> FilterStep:
+    """Return what the functions of ``step`` take, of chain c at sample t."""
+    moment = Moment(observed.length[c, t], observed.rear[c, t], observed.start_s[c] + t * scene.period_s)
+    own = filters.places[c], filters.root[c], filters.points[c]
+    workspace = Workspace(*own, shared.chosen, shared.slope, shared.held_slope)
+    state, out = state_of(c, filters.abreast, filters.known), linearised_of(c, filters.abreast)
+    return FilterStep(state, _drivers(c, filters, shared), moment, scene, workspace, shared.batch, out)
+
+
+@kernel(allocates=False)
+def _begin_sample(c: int, t: int, m: int, observed: Observed, filters: _Filters, shared: _Shared) -> bool:
+    """Forget vehicle m of chain c if it has gone; returns whether a vehicle is there at sample t."""
+    state, identity = state_of(c, filters.abreast, filters.known), observed.identity[c]
+    filters.settled[c, m] += 1
+    filters.waited[c, m] += 1
+    if identity[t, m] < 0 or (t > 0 and identity[t, m] != identity[t - 1, m]):
+        forget_vehicle(m, state)
+        forget_past(m, state, _drivers(c, filters, shared))
+        filters.settled[c, m] = filters.gross[c, m] = 0
+    return bool(identity[t, m] >= 0)
+
+
+@kernel(allocates=False)
+def _meet(
+    c: int, t: int, m: int, observed: Observed, filters: _Filters, shared: _Shared, scene: Scene, predicted: Predicted
+) -> None:
+    """Put the sample of vehicle m into ``Abreast.sample`` of chain c, if it is to be taken in."""
+    sample = filters.abreast.sample
+    for row in range(len(sample)):
+        sample[row, c] = 0.0
+    if m == 0:
+        predicted.innovation[c, t], predicted.innovation_var[c, t] = np.nan, np.nan
+        predicted.log_likelihood[c, t] = np.nan
+    if not _begin_sample(c, t, m, observed, filters, shared):
+        return
+    state, parameters, waited = state_of(c, filters.abreast, filters.known), filters.parameters[c], filters.waited[c]
+    mean, known, position, circumference = state.mean, state.known, observed.position[c, t, m], scene.circumference_m
+    x = STATE * m
+    off, factor = measurement(mean[x], parameters[m], circumference)
+    variance = factor * factor * state.covariance[x, x] + noise_var_at(mean[x], parameters[m], circumference)
+    if m == 0 and known[0] == MOVING:
+        predicted.innovation_var[c, t] = variance
+    if math.isnan(position):
+        return
+    if known[m] != MOVING:
+        start_vehicle(m, position, waited[m] * scene.period_s, state, parameters, scene)
+        waited[m] = 0
+        if known[m] == MOVING:
+            begin_past(m, state, _drivers(c, filters, shared), scene.period_s)
+        return
+    y = position - mean[x] - off
+    if circumference > 0.0:
+        y -= circumference * round(y / circumference)
+    if m == 0:
+        predicted.innovation[c, t] = y
+        if filters.settled[c, m] > SETTLING:
+            predicted.log_likelihood[c, t] = log_density(y, variance, parameters[m])
+    if is_contaminated(parameters[m]):
+        before = state.covariance[x, x]
+        filters.gross[c, m] = gross_in_a_row(m, filters.gross[c, m], y, variance, True, state, scene)
+        variance += factor * factor * (state.covariance[x, x] - before)
+    step, shrink = weights(y, variance, parameters[m])
+    sample[SLOPE, c], sample[OFF, c], sample[STEP, c], sample[SHRINK, c] = factor, -y, step, shrink
+
+
+@kernel(allocates=False)
+def _put_adapted(c: int, filters: _Filters, shared: _Shared) -> None:
+    """Put the present values of the adapted parameters into the own driver's row."""
+    first = STATE * filters.known.shape[1]
+    for k in range(len(shared.adapted)):
+        filters.parameters[c, 0, UTILITY[shared.adapted[k]]] = math.exp(filters.abreast.mean[first + k, c])
+
+
+@kernel(allocates=False)
+def _record(c: int, t: int, state: State, action: float, next_speed: float, period_s: float, trace: Trace) -> None:
+    """Fill in the trace after the update with a sample."""
+    if len(trace.means) > 0:
+        for i in range(trace.means.shape[2]):
+            trace.means[c, t, i] = state.mean[i]
+    if len(trace.covariances) > 0:
+        for i in range(trace.covariances.shape[2]):
+            for j in range(trace.covariances.shape[2]):
+                trace.covariances[c, t, i, j] = state.covariance[i, j]
+        trace.motion[c, t, 0], trace.motion[c, t, 1] = (next_speed - state.mean[1]) / period_s, action
+
+
+@kernel(allocates=False)
+def _filter(
+    observed: Observed, filters: _Filters, shared: _Shared, scene: Scene, predicted: Predicted, trace: Trace
+) -> None:
+    """Run all filters over all samples; arguments as for ``run``."""
+    count, ends, abreast = len(observed.samples), observed.samples, filters.abreast
+    for t in range(observed.position.shape[1]):
+        for m in range(observed.position.shape[2]):
+            for c in range(count):
+                if t < ends[c]:
+                    _meet(c, t, m, observed, filters, shared, scene, predicted)
+            take_in(STATE * m, abreast)
+        used = 0
+        for c in range(count):
+            if t < ends[c]:
+                _put_adapted(c, filters, shared)
+                used = aim_all(_step_of(c, t, observed, filters, shared, scene), used)
+        consider(used, scene.period_s, scene.horizon, shared.batch)
+        changed = False
+        for c in range(count):
+            if t < ends[c]:
+                changed = add_all_components(_step_of(c, t, observed, filters, shared, scene)) or changed
+        decide(used, shared.batch, changed)
+        begin_period(abreast)
+        for c in range(count):
+            if t < ends[c]:
+                step = _step_of(c, t, observed, filters, shared, scene)
+                action = conclude(step)
+                share_columns(c, abreast)
+                _record(c, t, step.state, action, abreast.next_mean[1, c], scene.period_s, trace)
+        predict(abreast)
+
+
+@kernel
+def run(
+    observed: Observed,
+    drivers: Drivers,
+    actions: Array,
+    is_rough: bool,
+    scene: Scene,
+    periods_back: int,
+    predicted: Predicted,
+    trace: Trace,
+) -> None:
+    """Filter C chains, at most ABREAST, over up to T samples; actions: (K,) [m/s^2] that the drivers consider."""
+    count, _, vehicles = observed.position.shape
+    adapted, a = drivers.adapted, len(drivers.adapted)
+    past = entries_of_past(vehicles, periods_back)
+    size, one = STATE * vehicles + a + past, workspace_for(vehicles, a, past)
+    filters = _Filters(
+        abreast_for(_live(drivers.parameters, size, len(trace.means) > 0), size),
+        np.zeros((count, vehicles), np.int64),
+        np.zeros((count, *one.places.shape), np.int64),
+        np.zeros((count, *one.root.shape)),
+        np.zeros((count, *one.points.shape), np.int64),
+        drivers.parameters,
+        drivers.prior_mean,
+        np.zeros((count, vehicles), np.int64),
+        np.zeros((count, vehicles), np.int64),
+        np.zeros((count, vehicles), np.int64),
+    )
+    for c in range(count):
+        for k in range(a):
+            entry = STATE * vehicles + k
+            filters.abreast.mean[entry, c] = drivers.prior_mean[c, k]
+            filters.abreast.covariance[entry, entry, c] = drivers.prior_var[k]
+    batch = batch_for(count * points_of(vehicles, a), actions, scene.period_s, is_rough)
+    shared = _Shared(batch, one.chosen, one.slope, one.held_slope, adapted, drivers.prior_var)
+    _filter(observed, filters, shared, scene, predicted, trace)
+
+
+@kernel
+def _live(parameters: Array, size: int, everything: bool) -> Ints:
+    """Return the entries of a state of ``size`` entries whose covariances matter; parameters: (C, M, WIDTH).
+
+    Nothing depends on what drivers hold, unless they remember it or feel accelerations, or unless ``everything`` is
+    recorded.
+    """
+    count, vehicles, _ = parameters.shape
+    for c in range(count):
+        for m in range(vehicles):
+            row = parameters[c, m]
+            everything = everything or remembers(row) or feels_accelerations(row)
+    is_live = np.ones(size, np.bool_)
+    if not everything:
+        is_live[STATE - 1 : STATE * vehicles : STATE] = False
+    return np.flatnonzero(is_live)

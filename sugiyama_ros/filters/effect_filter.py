@@ -1,21 +1,251 @@
-"""One driver's filter that also learns parameters of effects and of a law, with their uncertainty."""
+"""A filter that also learns parameters of effects and laws, with their uncertainty.
 
-from collections.abc import Sequence
+A filter cannot hold every such parameter in its state, since many of them act on noises, times or measurements. Their
+values follow the likelihood instead, by recursive prediction error. Beside the filter runs a copy for each value, in
+which the value is a little larger. The differences of the innovations and of their variances give
+the score of the value and its information; the difference of the states says how the state changes with the value.
+
+References
+----------
+L. Ljung and T. Soderstrom, Theory and Practice of Recursive Identification (1983), section 3.8.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
+from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES, population
-from sugiyama_ros.effects.registry import ROW
+from sugiyama_ros.effects.registry import EFFECTS, ROW, active, effect
+from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import Adaptation
-from sugiyama_ros.filters.effect_values import EVERY_S, Sensitivity, check_names, values_of
-from sugiyama_ros.filters.engine import Estimate
 from sugiyama_ros.filters.first_look import ChainStep
-from sugiyama_ros.filters.learnt import Learnt
-from sugiyama_ros.filters.online import ADAPT, OnlineFilter
+from sugiyama_ros.filters.kalman import Estimate
+from sugiyama_ros.filters.online import ADAPT, Learnt, OnlineFilter
+from sugiyama_ros.filters.sample import GROSS
+from sugiyama_ros.laws.registry import LAWS, PAPERS, name_of
 from sugiyama_ros.road import Road
+
+#: The words that stand for the strengths of all effects, and for all parameters of the driver's law.
+STRENGTHS, OF_LAW = "effects", "law"
+#: Time [s] between two changes of the values.
+EVERY_S = 1.0
+# How much larger a value is in its copy, and how far a value moves at most in a second, both in prior stds.
+_STEP, _FAR = 0.01, 0.5
+# A change of the state [m, m/s, logarithms] beyond which it is no small difference.
+_LARGEST = 5.0
+
+
+@dataclass(eq=False)
+class Values:
+    """What is known of K parameters of effects or a law: a normal distribution within the declared bounds.
+
+    names: of the parameters, such as ``drag.c0``; places: (K,) in a driver's row; prior_mean, prior_std: (K,); mean,
+    covariance: (K,) and (K, K); score, information: (K,) and (K, K), collected since the last ``move``.
+    """
+
+    names: tuple[str, ...]
+    places: list[int]
+    prior_mean: Array
+    prior_std: Array
+    mean: Array
+    covariance: Array
+    score: Array
+    information: Array
+
+    @property
+    def steps(self) -> Array:
+        """How much larger each value is in its copy, (K,)."""
+        return _STEP * self.prior_std
+
+    @property
+    def identified(self) -> tuple[str, ...]:
+        """Names of the values whose standard deviation is less than half of the prior's."""
+        std = np.sqrt(np.diag(self.covariance))
+        return tuple(name for name, a, b in zip(self.names, std, self.prior_std, strict=True) if a < 0.5 * b)
+
+    def continued(self, known: "Values | None") -> "Values":
+        """Go on from what was known before, except for values that were given anew."""
+        before = {} if known is None else dict(zip(known.names, known.prior_mean, strict=True))
+        same = [name for name, given in zip(self.names, self.prior_mean, strict=True) if before.get(name) == given]
+        if known is not None and same:
+            here, there = [self.names.index(n) for n in same], [known.names.index(n) for n in same]
+            self.mean[here] = known.mean[there]
+            self.covariance[np.ix_(here, here)] = known.covariance[np.ix_(there, there)]
+        return self
+
+    def move(self, elapsed_s: float) -> Array:
+        """Take in what was collected, and return by how much each value changes, (K,)."""
+        keep = math.exp(-elapsed_s / ADAPT.relaxation_s)
+        predicted = keep * keep * self.covariance + (1.0 - keep * keep) * np.diag(self.prior_std**2)
+        self.covariance[:] = np.linalg.inv(np.linalg.inv(predicted) + self.information)
+        far = _FAR * self.prior_std
+        towards = np.clip(self.covariance @ self.score, -far, far) + (1.0 - keep) * (self.prior_mean - self.mean)
+        declared = [ROW.declared[k] for k in self.places]
+        # a value of 0 would switch its effect off, and the copy needs room above
+        lower = np.array([p.lower for p in declared]) + self.steps
+        upper = np.array([p.upper for p in declared]) - self.steps
+        moved = np.clip(self.mean + towards, lower, upper) - self.mean
+        self.mean = self.mean + moved
+        self.score, self.information = np.zeros_like(self.score), np.zeros_like(self.information)
+        return moved
+
+
+def check_names(names: Sequence[str]) -> None:
+    """Check names of parameters of effects and laws that are to be learnt. Raises InputError for an unknown one."""
+    known = {name for name in ROW.entries if "." in name}
+    for name in names:
+        if name not in {STRENGTHS, OF_LAW} | known:
+            raise InputError(
+                f"adapt: {name!r} cannot be learnt online; give parameters of effects or laws such as drag.c0 and"
+                f" idm.T, or {STRENGTHS}, or {OF_LAW}"
+            )
+
+
+def values_of(row: Array, names: Sequence[str], std: Mapping[str, float] = MappingProxyType({})) -> Values | None:
+    """Return the priors of the parameters to be learnt, of the law and the effects that act; None if there are none.
+
+    names: of the parameters; ``effects`` stands for the strengths of all effects, ``law`` for the law's parameters.
+    Raises InputError.
+    """
+    check_names(names)
+    effects, own_law = active(row), LAWS[name_of(row[ROW.law])]
+    of_law = [f"{own_law.name}.{p.name}" for p in own_law.parameters if own_law.name != PAPERS]
+    chosen = of_law if OF_LAW in names else []
+    chosen += [f"{one}.{switch}" for one in effects for switch in effect(one).switches if STRENGTHS in names]
+    acting = (*effects, own_law.name)
+    chosen += [name for name in names if "." in name and name.split(".")[0] in acting and name not in chosen]
+    if not chosen:
+        return None
+    places = [ROW.entries.index(name) for name in chosen]
+    mean = row[places]
+    size = np.array([std.get(name) or _size(name, value) for name, value in zip(chosen, mean.tolist(), strict=True)])
+    k = len(chosen)
+    return Values(tuple(chosen), places, mean, size, mean.copy(), np.diag(size**2), np.zeros(k), np.zeros((k, k)))
+
+
+def _size(name: str, value: float) -> float:
+    """Prior std of a value: the largest value that the effect declares as typical, or the value itself.
+
+    A driver's parameter of a law is known up to a third.
+    """
+    of, parameter = name.split(".")
+    if of in LAWS:
+        return abs(value) / 3.0 or 0.1
+    declared = EFFECTS[of]
+    sizes = [abs(known[parameter]) for known in (*declared.benchmark, declared.bank or {}) if parameter in known]
+    p = ROW.declared[ROW.index_of(of, parameter)]
+    return max([abs(value), *sizes]) or 0.1 * (p.upper - p.lower)
+
+
+class Sensitivity:
+    """A filter, and its copies with one value larger each.
+
+    filter_: the filter, with the values of ``values``; values: the values; several drivers may share them.
+    """
+
+    def __init__(self, filter_: OnlineFilter, values: Values) -> None:
+        self._filter, self._values = filter_, values
+        #: Derivatives (A, K) of the adapted logarithms of the driver by the values.
+        self.slopes = np.zeros((len(filter_.kalman.model.places), len(values.names)))
+        self.begin()
+
+    def begin(self) -> None:
+        """Put the values into the filter, and let the copies begin from what the filter knows now."""
+        self._kalman = self._filter.kalman
+        put_values(self._filter, self._values.places, self._values.mean)
+        entries, self._copies = self._kalman.model.adapted_entries, []
+        for k, step in enumerate(self._values.steps):
+            copy = self._filter.plain_copy()
+            copy.kalman.x[entries] += step * self.slopes[:, k]
+            put_values(copy, self._values.places, self._shifted(k))
+            self._copies.append(copy)
+
+    def _shifted(self, k: int) -> Array:
+        """Values (K,) of copy k."""
+        shifted = self._values.mean.copy()
+        shifted[k] += self._values.steps[k]
+        return shifted
+
+    def take_in(self, estimate: Estimate, sample: Sequence[Any]) -> None:
+        """Let the copies take in a sample, and collect what it says of the values."""
+        values, kalman = self._values, self._filter.kalman
+        if kalman is not self._kalman:
+            # the filter has started anew
+            self.begin()
+            return
+        found = [copy.step(*sample) for copy in self._copies]
+        # who takes in what another one refuses, or changes style, differs by more than the value
+        if estimate.nis > GROSS or any(one.kalman.change_of_style is not None for one in (self._filter, *self._copies)):
+            self.begin()
+            return
+        entries = kalman.model.adapted_entries
+        for k, copy in enumerate(self._copies):
+            self.slopes[:, k] = (copy.kalman.x[entries] - kalman.x[entries]) / values.steps[k]
+        if not (estimate.scored and all(one.scored for one in found)):
+            return
+        score = np.array([one.log_likelihood - estimate.log_likelihood for one in found]) / values.steps
+        of_mean = np.array([_short(one.innovation_m - estimate.innovation_m, self._filter) for one in found])
+        of_var = np.array([one.innovation_var - estimate.innovation_var for one in found])
+        of_mean, of_var = of_mean / values.steps, of_var / (values.steps * estimate.innovation_var)
+        values.score += score
+        values.information += np.outer(of_mean, of_mean) / estimate.innovation_var + 0.5 * np.outer(of_var, of_var)
+
+    def move(self, moved: Array) -> None:
+        """Go on with other values: the states of all filters change with them, by the slopes; moved: (K,)."""
+        kalman, values = self._filter.kalman, self._values
+        by_value = np.column_stack([copy.kalman.x - kalman.x for copy in self._copies]) / values.steps
+        change = by_value @ moved
+        if not np.all(np.isfinite(change)) or np.abs(change).max() > _LARGEST:
+            self.begin()
+            return
+        kalman.x += change
+        put_values(self._filter, values.places, values.mean)
+        for k, copy in enumerate(self._copies):
+            copy.kalman.x += change
+            put_values(copy, values.places, self._shifted(k))
+
+    def saved(self) -> Any:
+        """Return what the copies know now, for ``restore``."""
+        return self._kalman, self._copies, [copy.saved() for copy in self._copies], self.slopes.copy()
+
+    def restore(self, saved: Any) -> None:
+        """Go back to what ``saved`` has returned; the filter and the values must be those of then."""
+        self._kalman, self._copies, before, slopes = saved
+        self.slopes = slopes.copy()
+        _note_values(self._filter, self._values.places, self._values.mean)
+        for k, (copy, one) in enumerate(zip(self._copies, before, strict=True)):
+            copy.restore(one)
+            _note_values(copy, self._values.places, self._shifted(k))
+
+
+def _short(difference_m: float, filter_: OnlineFilter) -> float:
+    """Return a difference of positions the short way around the ring."""
+    lap = filter_.road.circumference_m
+    return difference_m - lap * round(difference_m / lap) if lap > 0.0 else difference_m
+
+
+def _note_values(filter_: OnlineFilter, places: list[int], values: Array) -> None:
+    """Put values into the model of a filter, whose arrays have them already.
+
+    The drivers ahead keep theirs: a leader who is slower than the model's must not become a value of the driver.
+    """
+    model = filter_.kalman.model
+    model.row[places] = model.rows[0, places] = values
+
+
+def put_values(filter_: OnlineFilter, places: list[int], values: Array) -> None:
+    """Let a filter go on with other values (K,) of parameters of effects, at places (K,) of a driver's row."""
+    _note_values(filter_, places, values)
+    kalman = filter_.kalman
+    entries, adapted = kalman.model.adapted_entries, kalman.model.adapted
+    kalman.rows[0, adapted] = np.exp(kalman.x[entries])
+    kalman.change(kalman.model)
 
 
 class EffectFilter(OnlineFilter):

@@ -1,195 +1,226 @@
-"""The Kalman filter of a chain, sample by sample, with what learns from each of its steps.
-
-The model is stated in ``linearisation``; the Kalman algebra is filterpy's.
-"""
+"""The engine of the online filter, which works out a step in one call of compiled code."""
 
 import math
-from typing import Any
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.driver.parameters import NAMES, SIGMA_NU
+from sugiyama_ros.driver.batch import clear, grid_for
+from sugiyama_ros.driver.parameters import NAMES, UTILITY, at_period, population
 from sugiyama_ros.driver.utility import ACTIONS
-from sugiyama_ros.effects.contaminated_normal import contaminated_normal
-from sugiyama_ros.effects.sensing import is_contaminated
-from sugiyama_ros.filters.alarm import StyleAlarm
-from sugiyama_ros.filters.any_time import conclude_for
-from sugiyama_ros.filters.chain_model import ChainModel
-from sugiyama_ros.filters.linearisation import linearise
-from sugiyama_ros.filters.measurement import log_density, measurement, noise_var_at, weights
-from sugiyama_ros.filters.noise import NOISES, Learning, NoiseLearner
-from sugiyama_ros.filters.state import STATE, Drivers, Moment, Scene, State, arrays_for
-from sugiyama_ros.filters.vehicles import forget_vehicle, start_vehicle
-from sugiyama_ros.road import Road
+from sugiyama_ros.effects.effect import MEASUREMENT
+from sugiyama_ros.effects.registry import ROW, active, effect, index_of
+from sugiyama_ros.filters.alarm import onsets_for
+from sugiyama_ros.filters.chain import Adaptation, adaptation_of, chain_parameters
+from sugiyama_ros.filters.noise import NOISES, Learning, Noises
+from sugiyama_ros.filters.online_kernel import linearise_again, step
+from sugiyama_ros.filters.online_memory import HEADER, RESULTS, Sizes, memory_for, online_arrays
+from sugiyama_ros.filters.state import STATE, Scene, scene_at
+
+#: Position [m], speed [m/s] and length [m] of the vehicle behind where there is none.
+NO_REAR = (math.nan, math.nan, math.nan)
 
 
-class ChainKalman(ExtendedKalmanFilter):  # type: ignore[misc]
-    """filterpy's extended Kalman filter of a chain, which is told the next mean, F and Q by ``linearise``.
+@dataclass(frozen=True, eq=False)
+class ChainModel:
+    """Parameters, priors and scene of a chain of M vehicles with A adapted parameters; ``chain_model`` makes it.
 
-    model: the chain; ``change`` sets another one; road: the road that the vehicles drive on; learning: how the driver's
-    noises are learnt, None if they are not; x, P: mean (4 M + A,) and covariance (4 M + A, 4 M + A) of the state;
-    known: what is known of each vehicle, (M,); rows: rows of all drivers with what is learnt, (M, WIDTH); noises: what
-    learns the driver's noises, None if nothing does; alarm: what watches for a change of style, None where no parameter
-    is adapted.
+    row: (WIDTH,) of the driver at the reference period; rows: (M, WIDTH) of all drivers at the period of the samples;
+    places: (A,) of the adapted parameters in UTILITY; prior_mean, prior_var: (A,) of their logarithms; noise_shift:
+    (2,) of the logarithms of NOISES from the reference period to the period of the samples; sees_rear: whether an
+    effect depends on the vehicle behind; measured_otherwise: whether an effect of the measurement is on.
     """
 
-    def __init__(self, model: ChainModel, road: Road, learning: Learning | None) -> None:
-        vehicles, adapted = model.vehicles, model.adapted_entries
-        size = adapted.stop
-        super().__init__(dim_x=size, dim_z=vehicles)
-        self.model, self.road, self.learning = model, road, learning
-        self.rows: Array = model.rows.copy()
-        self.known: Ints = np.zeros(vehicles, np.int64)
-        self.x, self.P = np.zeros(size), np.zeros((size, size))
-        self.x[adapted] = model.prior_mean
-        self.P[adapted, adapted] = np.diag(model.prior_var)
-        self._moment = Moment(np.zeros(vehicles), np.full(3, math.nan), 0.0)
-        self._arrays = arrays_for(vehicles, len(model.places), ACTIONS, model.scene.period_s)
-        linearised = self._arrays[-1]
-        self.next_mean, self.F, self.next_noise = linearised.next_mean, linearised.jacobian, linearised.noise
-        self._measures = np.zeros((vehicles, size))
-        self._measures[np.arange(vehicles), STATE * np.arange(vehicles)] = 1.0
-        self.noises: NoiseLearner | None = None
+    row: Array
+    rows: Array
+    places: Ints
+    prior_mean: Array
+    prior_var: Array
+    noise_shift: Array
+    scene: Scene
+    sees_rear: bool
+    measured_otherwise: bool
+
+    @property
+    def vehicles(self) -> int:
+        """Number M of vehicles."""
+        return len(self.rows)
+
+    @property
+    def adapted(self) -> list[int]:
+        """Places of the adapted parameters in a driver's row."""
+        return [UTILITY[k] for k in self.places]
+
+    @property
+    def adapted_entries(self) -> slice:
+        """Entries of the state that are logarithms of adapted parameters."""
+        return slice(STATE * self.vehicles, STATE * self.vehicles + len(self.places))
+
+
+def chain_model(
+    row: Array, ahead: Array | None, adaptation: Adaptation, vehicles: int, period_s: float, circumference_m: float
+) -> ChainModel:
+    """Return the model of a chain.
+
+    period_s: time between two samples [s]; circumference_m: length of the ring [m], 0 for an open road.
+    """
+    adaptation = adaptation_of(row, adaptation)
+    places, prior_var = adaptation.arrays
+    names = active(row)
+    others = ROW.with_effects(population() if ahead is None else ahead)
+    others[len(NAMES) :] = row[len(NAMES) :]
+    for name in names:
+        if effect(name).individual:
+            others[[index_of(name, p.name) for p in effect(name).parameters]] = 0.0
+    rows = at_period(chain_parameters(row, others, vehicles), period_s)
+    return ChainModel(
+        row=row,
+        rows=rows,
+        places=places,
+        prior_mean=np.log(rows[0, [UTILITY[k] for k in places]]),
+        prior_var=prior_var,
+        noise_shift=np.log(rows[0, NOISES] / row[NOISES]),
+        scene=scene_at(period_s, circumference_m, adaptation.relaxation_s),
+        sees_rear=any(effect(name).sees_rear for name in names) and vehicles > 1,
+        measured_otherwise=any(effect(name).stage == MEASUREMENT for name in names),
+    )
+
+
+class Estimate(NamedTuple):
+    """What is known of a driver after the update with one sample.
+
+    position_m (wrapped on a ring), speed [m/s], acceleration [m/s^2] and their covariance (3, 3); mean_action [m/s^2];
+    gap_m (infinite without a leader) and approach_rate [m/s]; innovation_m, nis and log_likelihood (no 2 pi term) of
+    the sample, NaN where it is missing or nothing was predicted; innovation_var [m^2]; scored: whether it counts. Where
+    noises are learnt, the log-likelihood allows for outliers (``Learning.outliers``).
+    """
+
+    position_m: float
+    speed: float
+    acceleration: float
+    covariance: Array
+    mean_action: float
+    gap_m: float
+    approach_rate: float
+    innovation_m: float
+    innovation_var: float
+    nis: float
+    log_likelihood: float
+    scored: bool
+
+
+class OnlineKalman:
+    """The Kalman filter of a chain and all that learns from its steps.
+
+    model: the chain; ``change`` sets another one; learning: how the driver's noises are learnt, None if they are not;
+    memory: all that the filter knows; compiled code changes it; arrays: the arrays in it, of which some are named here
+    too: x, P: mean (4 M + A,) and covariance (4 M + A, 4 M + A) of the state; next_mean: predicted mean at the next
+    sample, (4 M + A,); rows: rows of all drivers with what is learnt, (M, WIDTH); change_of_style: name of the
+    parameter that has jumped at the latest sample, and its factor; none if none has.
+    """
+
+    def __init__(self, model: ChainModel, learning: Learning | None) -> None:
+        self.learning = learning
+        self.change_of_style: tuple[str, float] | None = None
+        period, adapted = model.scene.period_s, len(model.places)
+        models = 0 if learning is None else len(learning.relaxations_s)
+        columns = onsets_for(period)[1] * adapted
+        self._use(memory_for(Sizes(model.vehicles, adapted, models, columns, len(model.row))))
+        arrays = self.arrays
+        arrays.book.identity[:] = -1
+        arrays.sample.when[1] = 1.0
+        arrays.step.out.live[:] = np.arange(len(self.x))
+        clear(arrays.step.batch.blocks)
+        arrays.alarm.begin(period)
+        self._put(model)
+        entries = model.adapted_entries
+        self.x[entries] = model.prior_mean
+        self.P[entries, entries] = np.diag(model.prior_var)
         if learning is not None:
-            self.noises = NoiseLearner(learning, np.log(self.rows[0, NOISES]), model.scene.period_s, size)
-        places = range(adapted.start, adapted.stop)
-        self.alarm = StyleAlarm(places, size, model.scene.period_s) if places else None
+            arrays.noises.begin(learning, np.log(self.rows[0, NOISES]), period)
+
+    def _use(self, memory: Array) -> None:
+        """Use a memory with this filter's sizes."""
+        self.memory = memory
+        self.arrays = online_arrays(memory)
+        state = self.arrays.step.state
+        self.x, self.P, self.rows = state.mean, state.covariance, self.arrays.step.drivers.parameters
+        self.next_mean = self.arrays.step.out.next_mean
+        self._covariance = self.arrays.result[RESULTS:].reshape((3, 3))
+        m = len(state.known)
+        self._bytes = memory.data.cast("B")
+        self._pack = struct.Struct(f"={m}d{m}q{m}d3d2d").pack_into
+        self._unpack = struct.Struct(f"={RESULTS}d").unpack_from
+        self._result_at = self.arrays.result.ctypes.data - memory.ctypes.data
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy needs: its arrays lie in a memory of their own."""
+        names = ("learning", "change_of_style", "model", "memory")
+        return {name: self.__dict__[name] for name in names}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._use(self.memory)
+
+    @property
+    def noises(self) -> Noises | None:
+        """The driver's noises, None if they are not learnt."""
+        return None if self.learning is None else self.arrays.noises
 
     def change(self, model: ChainModel) -> None:
         """Go on with another model of the same chain; the driver's own parameters stay as they are known."""
-        learnt = self.rows[0, : len(NAMES)]
-        self.model, self.rows = model, model.rows.copy()
+        learnt = self.rows[0, : len(NAMES)].copy()
+        self._put(model)
         self.rows[0, : len(NAMES)] = learnt
-        self.linearise(self._moment)
+        linearise_again(self.memory)
 
-    def predict_x(self, u: Any = 0) -> None:
-        """Take the next mean that ``linearise`` has found."""
-        self.x = self.next_mean.copy()
+    def speed_of(self, m: int, vehicle: int) -> float:
+        """Return the speed [m/s] of vehicle number m of the chain; 0 if it is another vehicle, or not known."""
+        return float(self.x[STATE * m + 1]) if self.arrays.book.identity[m] == vehicle else 0.0
 
-    def go_on(self, periods: float) -> None:
-        """Go on by some periods."""
-        if periods != 1.0:
-            conclude_for(periods, *self._linearised_from, *self._arrays)
-        self.Q = self.next_noise
-        self.predict()
-        if self.noises is not None:
-            self.noises.predict(self.F, self.next_noise, periods)
-        if self.alarm is not None:
-            self.alarm.predict(self.F, periods)
+    def saved(self) -> tuple[Array, tuple[str, float] | None]:
+        """Return all that the filter knows now, for ``restore``."""
+        return self.memory.copy(), self.change_of_style
 
-    def linearise(self, moment: Moment) -> float:
-        """Put what is learnt into the rows and linearise the next period; returns the own mean action [m/s^2]."""
-        model, self._moment = self.model, moment
-        if self.noises is not None:
-            self.rows[0, NOISES] = self.noises.values
-        first = model.adapted_entries.start
-        for j, k in enumerate(model.adapted):
-            self.rows[0, k] = math.exp(self.x[first + j])
-        return linearise(*self._linearised_from, *self._arrays)
+    def restore(self, saved: tuple[Array, tuple[str, float] | None]) -> None:
+        """Go back to what ``saved`` has returned, with the same model."""
+        self.memory[:], self.change_of_style = saved
 
-    @property
-    def _linearised_from(self) -> tuple[State, Drivers, Moment, Scene]:
-        """What the next period is linearised from."""
-        model = self.model
-        drivers = Drivers(self.rows, model.places, model.prior_mean, model.prior_var)
-        return State(self.x, self.P, self.known), drivers, self._moment, model.scene
+    def _put(self, model: ChainModel) -> None:
+        """Put a model's numbers into the arrays."""
+        self.model = model
+        drivers, batch = self.arrays.step.drivers, self.arrays.step.batch
+        drivers.parameters[:], drivers.adapted[:] = model.rows, model.places
+        drivers.prior_mean[:], drivers.prior_var[:] = model.prior_mean, model.prior_var
+        grid = grid_for(ACTIONS, model.scene.period_s)
+        self.arrays.settings[:] = *model.scene, grid.braking
+        batch.grid.actions[:], batch.grid.backward[:] = grid.actions, grid.backward
 
-    def forget(self, m: int) -> None:
-        """Forget vehicle m of the chain, which is another one now."""
-        forget_vehicle(m, State(self.x, self.P, self.known))
-        if self.noises is not None:
-            self.noises.forget(m)
+    def step(
+        self,
+        position_m: Sequence[float],
+        identity: Sequence[int],
+        length_m: Sequence[float],
+        rear: tuple[float, float, float],
+        time_s: float,
+        periods: float = 1.0,
+    ) -> Estimate:
+        """Go on by some periods and take in a sample.
 
-    def start(self, m: int, position_m: float, elapsed_s: float) -> None:
-        """Take in a position of vehicle m, which is not MOVING yet, ``elapsed_s`` after its first position."""
-        start_vehicle(m, position_m, elapsed_s, State(self.x, self.P, self.known), self.rows, self.model.scene)
-        if m == 0 and self.noises is not None:
-            self.noises.start(self.P)
-        if m == 0 and self.alarm is not None:
-            self.alarm.reset()
+        position_m, identity, length_m: of the vehicles, (M,), as for ``OnlineFilter.step``; rear: position [m], speed
+        [m/s] and length [m] of the vehicle behind; ``NO_REAR`` where it is not known; time_s: time of the recording
+        [s]; periods: time since the sample before, in periods of the model: one step of ``steps_between``.
+        """
+        self._pack(self._bytes, 8 * HEADER, *position_m, *identity, *length_m, *rear, time_s, periods)
+        self._step()
+        *told, scored, changed, jump = self._unpack(self._bytes, self._result_at)
+        self.change_of_style = None if changed < 0.0 else (NAMES[self.model.adapted[int(changed)]], math.exp(jump))
+        return Estimate._make((*told[:3], self._covariance.copy(), *told[3:], scored > 0.0))
 
-    def innovation(self, m: int, position_m: float) -> tuple[float, float]:
-        """Return the innovation [m] of vehicle m, NaN where its position is missing, and its variance [m^2]."""
-        mean, noise_var = float(self.x[STATE * m]), self._noise_var(m)
-        variance = float(self.P[STATE * m, STATE * m])
-        if self.model.measured_otherwise:
-            off, factor = measurement(mean, self.rows[m], self.model.scene.circumference_m)
-            mean, variance = mean + off, factor * factor * variance
-        way, lap = position_m - mean, self.road.circumference_m
-        return way - lap * round(way / lap) if lap > 0.0 and way == way else way, variance + noise_var
-
-    def _noise_var(self, m: int) -> float:
-        """Return the variance [m^2] of the measurement noise of vehicle m, where it is now."""
-        if not self.model.measured_otherwise:
-            return float(self.rows[m, SIGMA_NU]) ** 2
-        return float(noise_var_at(float(self.x[STATE * m]), self.rows[m], self.model.scene.circumference_m))
-
-    def learn(self, innovation: float, variance: float) -> float:
-        """Learn from the driver's own innovation, before the update with it; returns its log-likelihood."""
-        density = self._learn_noises(innovation, variance)
-        if self.alarm is not None:
-            self.alarm.observe(innovation, variance)
-        return density
-
-    def _learn_noises(self, innovation: float, variance: float) -> float:
-        if self.noises is not None:
-            noise_var = self._noise_var(0)
-            changed = self.model.measured_otherwise
-            factor = math.sqrt((variance - noise_var) / float(self.P[0, 0])) if changed else 1.0
-            self.noises.learn(innovation, variance, noise_var, factor)
-        if self.noises is None or is_contaminated(self.rows[0]):
-            return float(log_density(innovation, variance, self.rows[0]))
-        return float(
-            contaminated_normal(innovation, variance, float(self.rows[0, SIGMA_NU]) ** 2, *self.noises.outliers)[2]
-        )
-
-    def check_style(self) -> tuple[str, float] | None:
-        """Return the parameter that has jumped and its factor, if the alarm is given; the state is corrected then."""
-        if self.alarm is None:
-            return None
-        change = self.alarm.check(self.x, self.P)
-        return None if change is None else (NAMES[self.model.adapted[change.number]], math.exp(change.jump))
-
-    def take_in(self, position_m: Array, vehicles: Ints) -> None:
-        """Update the state with measured positions [m] of some vehicles of the chain, (m,) each."""
-        if self.model.measured_otherwise:
-            for position, m in zip(position_m.tolist(), vehicles.tolist(), strict=True):
-                self._update_with_effects(position, m)
-        elif len(vehicles):
-            self._update(position_m, vehicles)
-
-    def _update_with_effects(self, position_m: float, m: int) -> None:
-        row, x = self.rows[m], STATE * m
-        off, factor = measurement(self.x[x], row, self.model.scene.circumference_m)
-        gain = factor * self.P[:, x]
-        y, variance = self.innovation(m, position_m)
-        step, shrink = weights(y, variance, row)
-        measures, noise_var = factor * self._measures[[m]], self._noise_var(m) if m == 0 else 0.0
-        self.update(
-            np.array([position_m]),
-            HJacobian=lambda _: measures,
-            Hx=lambda state: state[[x]] + off,
-            R=np.array([[1.0 / step - factor * gain[x]]]),
-            residual=self.road.difference,
-        )
-        if self.noises is not None:
-            self.noises.update(self, measures, noise_var)
-        if self.alarm is not None:
-            self.alarm.update(factor * self.K, np.array([x]))
-        self.P = self.P - np.outer(gain, gain) * (shrink - step)
-
-    def _update(self, position_m: Array, vehicles: Ints) -> None:
-        measures, noise_var = self._measures[vehicles], self.rows[vehicles, SIGMA_NU] ** 2
-        self.update(
-            position_m,
-            HJacobian=lambda _: measures,
-            Hx=lambda x: x[STATE * vehicles],
-            R=np.diag(noise_var),
-            residual=self.road.difference,
-        )
-        if self.noises is not None:
-            self.noises.update(self, measures, float(noise_var[0]) if vehicles[0] == 0 else 0.0)
-        if self.alarm is not None:
-            self.alarm.update(self.K, STATE * vehicles)
+    def _step(self) -> None:
+        """Carry out the step in the memory."""
+        step(self.memory)

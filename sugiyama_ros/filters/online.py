@@ -8,29 +8,18 @@ from functools import cache
 from typing import Any, Literal
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES, V_STAR, check, population
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.filters.any_time import steps_between
 from sugiyama_ros.filters.chain import CHAIN, NOT_ADAPTED, Adaptation
-from sugiyama_ros.filters.chain_model import ChainModel, chain_model
-from sugiyama_ros.filters.compiled import CompiledKalman
-from sugiyama_ros.filters.engine import NO_REAR, Engine
-from sugiyama_ros.filters.engine import Estimate as Estimate
 from sugiyama_ros.filters.first_look import NOBODY as NOBODY
-from sugiyama_ros.filters.first_look import SMOOTHED, ChainStep, FirstLook
-from sugiyama_ros.filters.learnt import (
-    Learnt,
-    adapted_names,
-    identified_names,
-    known_parameters,
-    learnt_of,
-    parameter_covariance,
-    recall,
-)
-from sugiyama_ros.filters.noise import Learning
+from sugiyama_ros.filters.first_look import SMOOTHED, ChainStep, FirstLook, steps_between
+from sugiyama_ros.filters.kalman import NO_REAR, ChainModel, OnlineKalman, chain_model
+from sugiyama_ros.filters.kalman import Estimate as Estimate
+from sugiyama_ros.filters.noise import NOISES, Learning
 from sugiyama_ros.road import Road
 
 #: Adaptation of the estimator nodes: desired speed and risk premium. The prior stds are about the stds over the drivers
@@ -41,6 +30,18 @@ LEARN = Learning()
 #: What is learnt where positions are smooth: road and instrument are others than those of the measured drivers.
 ADAPT_ELSEWHERE = Adaptation(names=("v_star", "kappa_v"), prior_std=(0.3, 0.4), relaxation_s=6000.0)
 LEARN_ELSEWHERE = Learning(prior_std=(1.0, 0.7))
+
+
+@dataclass(frozen=True, eq=False)
+class Learnt:
+    """Logarithms (A,) of adapted parameters at the reference period, by name, and their covariance (A, A).
+
+    Parameters of effects, such as ``drag.c0``, stand with their values, not with logarithms.
+    """
+
+    names: tuple[str, ...]
+    mean: Array
+    covariance: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,13 +101,13 @@ class OnlineFilter:
         if self._look is not None:
             self._look, self._recalled = FirstLook(self.road, self.period_s), None
 
-    def _engine_of(self, model: ChainModel) -> Engine:
+    def _engine_of(self, model: ChainModel) -> OnlineKalman:
         if self.engine == "compiled":
-            return CompiledKalman(model, self.road, self._start.learning)
+            return OnlineKalman(model, self._start.learning)
         # filterpy takes long to import
         from sugiyama_ros.filters.readable import ReadableKalman
 
-        return ReadableKalman(model, self.road, self._start.learning)
+        return ReadableKalman(model, self._start.learning)
 
     def change(self, parameters: Array) -> None:
         """Go on with other effects and keep all that was learnt. Raises InputError."""
@@ -136,22 +137,46 @@ class OnlineFilter:
     @property
     def parameters(self) -> Array:
         """The driver's row (WIDTH,) as known now, at the reference period."""
-        return known_parameters(self.kalman)
+        model, rows = self.kalman.model, self.kalman.rows
+        known = model.row.copy()
+        for k in model.adapted:
+            known[k] = rows[0, k]
+        if self.kalman.noises is not None:
+            known[NOISES] *= rows[0, NOISES] / model.rows[0, NOISES]
+        return known
 
     @property
     def parameter_covariance(self) -> Array:
         """Covariance (WIDTH, WIDTH) of ``parameters``; zero for parameters that are not adapted."""
-        return parameter_covariance(self.kalman)
+        covariance, parameters, kalman = np.zeros((ROW.width, ROW.width)), self.parameters, self.kalman
+        places, entries = kalman.model.adapted, kalman.model.adapted_entries
+        covariance[np.ix_(places, places)] = kalman.P[entries, entries]
+        if kalman.noises is not None:
+            covariance[np.ix_(NOISES, NOISES)] = kalman.noises.covariance
+        return covariance * np.outer(parameters, parameters)
 
     @property
     def identified(self) -> tuple[str, ...]:
         """Names of the adapted parameters whose standard deviation is less than half of the prior's."""
-        return identified_names(self.kalman)
+        noise_std = self.kalman.learning.prior_std if self.kalman.learning else ()
+        before = np.concatenate([noise_std, np.sqrt(self.kalman.model.prior_var)])
+        now = np.sqrt(np.diag(self._own_learnt.covariance))
+        return tuple(name for name, a, b in zip(self._own_names, now, before, strict=True) if a < 0.5 * b)
 
     @property
     def learnt(self) -> Learnt:
         """All that is known of the driver's parameters, to go on from."""
-        return learnt_of(self.kalman)
+        return self._own_learnt
+
+    @property
+    def _own_learnt(self) -> Learnt:
+        """All that the Kalman filter knows of the driver's parameters."""
+        kalman, entries = self.kalman, self.kalman.model.adapted_entries
+        parts = [(kalman.x[entries], kalman.P[entries, entries])]
+        if kalman.noises is not None:
+            parts.insert(0, (kalman.noises.mean - kalman.model.noise_shift, kalman.noises.covariance))
+        means, covariances = zip(*parts, strict=True)
+        return Learnt(self._own_names, np.concatenate(means), block_diag(*covariances))
 
     def plain_copy(self) -> "OnlineFilter":
         """Return a filter that knows the same, without a first look and without what a subclass adds."""
@@ -186,19 +211,39 @@ class OnlineFilter:
         """Forget where the vehicles are, and keep what was learnt of the driver."""
         learnt, prior, recalled = self.learnt, self.prior, self._recalled
         self.reset()
-        recall(self.kalman, learnt)
+        self._recall(learnt)
         self.prior, self._recalled = prior, recalled
 
     def recall(self, learnt: Learnt) -> None:
         """Go on from what was learnt before, of the parameters that are adapted here."""
         if self._look is not None and not self._look.samples:
             self._recalled = learnt
-        recall(self.kalman, learnt)
+        self._recall(learnt)
+
+    def _recall(self, learnt: Learnt) -> None:
+        """Go on from what was learnt before of the parameters that the Kalman filter knows."""
+        kalman, model, noises = self.kalman, self.kalman.model, self.kalman.noises
+        at = {name: k for k, name in enumerate(learnt.names)}
+        of_noises = [at[NAMES[k]] for k in NOISES if NAMES[k] in at]
+        if noises is not None and len(of_noises) == len(NOISES):
+            noises.recall(learnt.mean[of_noises] + model.noise_shift, learnt.covariance[np.ix_(of_noises, of_noises)])
+            kalman.rows[0, NOISES] = np.exp(noises.mean)
+        own, entries = [at[NAMES[k]] for k in model.adapted if NAMES[k] in at], model.adapted_entries
+        if len(own) == len(model.adapted):
+            kalman.x[entries] = kalman.next_mean[entries] = learnt.mean[own]
+            kalman.P[entries, :], kalman.P[:, entries] = 0.0, 0.0
+            kalman.P[entries, entries] = learnt.covariance[np.ix_(own, own)]
+            kalman.rows[0, model.adapted] = np.exp(learnt.mean[own])
 
     @property
     def adapted(self) -> tuple[str, ...]:
-        """Names of the parameters that are adapted."""
-        return adapted_names(self.kalman)
+        """Names of the parameters that are adapted, noises first."""
+        return self._own_names
+
+    @property
+    def _own_names(self) -> tuple[str, ...]:
+        noises = NOISES if self.kalman.learning is not None else ()
+        return tuple(NAMES[k] for k in (*noises, *self.kalman.model.adapted))
 
     def speed_of(self, m: int, vehicle: int) -> float:
         """Return the speed [m/s] of vehicle number m of the chain as known now; 0 if it is not this vehicle yet."""

@@ -1,4 +1,4 @@
-"""What the causal filter works on: the chain's state, its drivers, the scene, and the arrays that a step fills.
+"""What a step of the causal filter works on: the chain's state, its drivers, and the arrays that the step fills.
 
 All of these are named tuples, so that compiled code and Python share them.
 """
@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.driver.lanes import Lanes, lanes_for
+from sugiyama_ros.driver.batch import Batch, batch_for
 from sugiyama_ros.driver.parameters import REFERENCE_HORIZON, UTILITY, horizon_at
 from sugiyama_ros.jit import kernel
 
@@ -110,6 +110,24 @@ class Moment(NamedTuple):
     time_s: float
 
 
+class Workspace(NamedTuple):
+    """Arrays in which the expected actions of a chain's drivers are worked out; ``workspace_for`` makes them.
+
+    places: two rows for each driver, what an action depends on, (2 (M - 1), 5 + A); root: 8 + A rows for each driver,
+    root of its covariance, and rows below, (.., 5 + A); points: (M - 1, 2), for each driver the number of quantities
+    that the action depends on, and the first slot of the batch; chosen: (2, 2 (5 + A)), what one driver holds at each
+    point, and the same with what the environment adds; slope, held_slope: (4 M + A,), regressions of the action and of
+    the held acceleration on the state.
+    """
+
+    places: Ints
+    root: Array
+    points: Ints
+    chosen: Array
+    slope: Array
+    held_slope: Array
+
+
 class Linearised(NamedTuple):
     """One period of the model, linearised; arrays that ``linearise`` overwrites.
 
@@ -126,22 +144,16 @@ class Linearised(NamedTuple):
     live: Ints
 
 
-class Workspace(NamedTuple):
-    """Arrays in which the expected actions of a chain's drivers are worked out; ``workspace_for`` makes them.
+class FilterStep(NamedTuple):
+    """All that one step of a chain's filter reads and fills: what is known, and the arrays that it overwrites."""
 
-    places: two rows for each driver, what an action depends on, (2 (M - 1), 5 + A); root: 8 + A rows for each driver,
-    root of its covariance, and rows below, (.., 5 + A); points: (M - 1, 2), for each driver the number of quantities
-    that the action depends on, and the first lane; chosen: (2, 2 (5 + A)), what one driver holds at each point, and the
-    same with what the environment adds; slope, held_slope: (4 M + A,), regressions of the action and of the held
-    acceleration on the state.
-    """
-
-    places: Ints
-    root: Array
-    points: Ints
-    chosen: Array
-    slope: Array
-    held_slope: Array
+    state: State
+    drivers: Drivers
+    moment: Moment
+    scene: Scene
+    workspace: Workspace
+    batch: Batch
+    out: Linearised
 
 
 @kernel
@@ -152,28 +164,18 @@ def points_of(vehicles: int, adapted: int) -> int:
 
 @kernel
 def workspace_for(vehicles: int, adapted: int, past: int) -> Workspace:
-    """Return the workspace of a chain of M ``vehicles`` with A ``adapted`` parameters, for one step after the other.
-
-    past: entries of the state for what drivers recall.
-    """
+    """Return the workspace of a chain whose state has some entries for the ``past``."""
     size, most, drivers = STATE * vehicles + adapted + past, 5 + adapted, max(vehicles - 1, 1)
     places, root = np.zeros((2 * drivers, most), np.int64), np.zeros((drivers * (3 + most), most))
     chosen = np.zeros((2, 2 * most))
     return Workspace(places, root, np.zeros((drivers, 2), np.int64), chosen, np.zeros(size), np.zeros(size))
 
 
-@kernel
-def linearised_for(live: Ints, size: int) -> Linearised:
-    """Return arrays for a state with ``size`` entries, of which those in ``live`` matter."""
-    next_mean, jacobian, noise = np.zeros(size), np.zeros((size, size)), np.zeros((size, size))
-    return Linearised(next_mean, jacobian, noise, np.zeros((size, size), np.int64), np.zeros(size, np.int64), live)
-
-
-def arrays_for(vehicles: int, adapted: int, actions: Array, period_s: float) -> tuple[Workspace, Lanes, Linearised]:
-    """Return the arrays with which ``linearise`` works on one chain, all of whose covariances matter.
-
-    actions: accelerations that the drivers consider [m/s^2], (K,); period_s: time between two samples [s].
-    """
-    size = STATE * vehicles + adapted
-    lanes = lanes_for(points_of(vehicles, adapted), actions, period_s, False)
-    return workspace_for(vehicles, adapted, 0), lanes, linearised_for(np.arange(size), size)
+def step_for(state: State, drivers: Drivers, moment: Moment, scene: Scene, actions: Array) -> FilterStep:
+    """Return a step of one chain with fresh arrays, all of whose covariances matter; actions: (K,) [m/s^2]."""
+    vehicles, adapted, size = len(state.known), len(drivers.adapted), len(state.mean)
+    batch = batch_for(points_of(vehicles, adapted), actions, scene.period_s, False)
+    square, counts = (size, size), np.zeros(size, np.int64)
+    of_period = np.zeros(size), np.zeros(square), np.zeros(square), np.zeros(square, np.int64), counts
+    out = Linearised(*of_period, np.arange(size))
+    return FilterStep(state, drivers, moment, scene, workspace_for(vehicles, adapted, 0), batch, out)

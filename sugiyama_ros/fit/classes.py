@@ -21,7 +21,7 @@ from sugiyama_ros.fit.standard_errors import untouched
 
 if TYPE_CHECKING:
     # The online filter is not needed to keep or write the classes, and takes long to load.
-    from sugiyama_ros.filters.learnt import Learnt
+    from sugiyama_ros.filters.online import Learnt
 
 # Maximum number of steps; the search ends when a step gains less than this [nats]; longest step of a logarithm.
 _STEPS, _ENOUGH, _LONGEST = 60, 0.05, 0.3

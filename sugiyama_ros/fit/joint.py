@@ -17,7 +17,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.filters.roughness import PER_MEDIAN
+from sugiyama_ros.filters.first_look import PER_MEDIAN
 from sugiyama_ros.fit.driver import calibrate
 from sugiyama_ros.fit.model import Model, NewtonStep, moved
 from sugiyama_ros.fit.recording import FOLDS, Recorded

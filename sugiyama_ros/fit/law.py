@@ -13,9 +13,8 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import qmc
 
 from sugiyama_ros.arrays import Array, Mask
-from sugiyama_ros.driver.advance import advance
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
-from sugiyama_ros.driver.utility import FAR
+from sugiyama_ros.driver.utility import FAR, advance
 from sugiyama_ros.effects.control import law_acceleration
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError

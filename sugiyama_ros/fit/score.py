@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 
 from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.filters import causal
+from sugiyama_ros.filters.abreast import ABREAST
 from sugiyama_ros.filters.chain import Chain
 from sugiyama_ros.filters.state import STATE
-from sugiyama_ros.filters.vectors import ABREAST
 from sugiyama_ros.fit.model import Model, leaders
 from sugiyama_ros.fit.recording import Recorded
 

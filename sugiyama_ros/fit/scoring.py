@@ -22,8 +22,8 @@ from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.driver.parameters import OMEGA_2, PARAMETERS, V_STAR
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.filters import paper
+from sugiyama_ros.filters.first_look import SIGMAS
 from sugiyama_ros.filters.paper import Scored
-from sugiyama_ros.filters.roughness import SIGMAS
 from sugiyama_ros.fit.smooth_positions import Evenness
 from sugiyama_ros.trajectories.desired_speed import largest_v_star
 from sugiyama_ros.trajectories.trajectories import Trajectories

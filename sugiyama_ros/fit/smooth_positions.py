@@ -23,7 +23,7 @@ from sugiyama_ros.driver.parameters import (
     index,
     population,
 )
-from sugiyama_ros.filters.roughness import (
+from sugiyama_ros.filters.first_look import (
     LEAST,
     WHITE,
     desired_speed_above,

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sugiyama_ros.arrays import Array, Ints, Mask
-from sugiyama_ros.drives import Drive, divided, drives
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN, Chain
+from sugiyama_ros.filters.extract import Drive, divided, drives
 from sugiyama_ros.fit.recording import (
     BLOCK_S,
     FOLDS,

@@ -14,9 +14,8 @@ from sugiyama_msgs.msg import DriverParameters, DriverType, Innovation, StyleCha
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES, V_STAR
 from sugiyama_ros.effects.registry import ROW, active
-from sugiyama_ros.filters.any_time import steps_between
-from sugiyama_ros.filters.learnt import Learnt
-from sugiyama_ros.filters.online import NOBODY, Estimate, OnlineFilter
+from sugiyama_ros.filters.first_look import steps_between
+from sugiyama_ros.filters.online import NOBODY, Estimate, Learnt, OnlineFilter
 from sugiyama_ros.filters.shown import ShownParameters, shown_of
 from sugiyama_ros.fit.classes import DriverTypes
 from sugiyama_ros.formats.measured import FRAME

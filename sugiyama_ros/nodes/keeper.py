@@ -20,7 +20,7 @@ from sugiyama_ros.documents import read_json
 from sugiyama_ros.driver.parameters import NAMES
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.filters.learnt import Learnt
+from sugiyama_ros.filters.online import Learnt
 from sugiyama_ros.nodes.base.cdr_messages import NS
 from sugiyama_ros.nodes.base.node import OK, Health, PacedNode
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM

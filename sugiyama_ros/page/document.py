@@ -17,8 +17,7 @@ from sugiyama_ros.diagnosis.compare import Compared, Comparison
 from sugiyama_ros.diagnosis.diagnose import Diagnosis, Round, Step
 from sugiyama_ros.diagnosis.table import Difference, Entry, errors, gains
 from sugiyama_ros.diagnosis.where import Located
-from sugiyama_ros.driver.constants import CONSTANTS
-from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, Parameter
+from sugiyama_ros.driver.parameters import CONSTANTS, KAPPA_V, V_STAR, Parameter
 from sugiyama_ros.effects.discovered_force import COVARIATES
 from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.fit.sandwich import own_stds

@@ -5,11 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints, Mask
-from sugiyama_ros.driver.advance import advance
 from sugiyama_ros.driver.parameters import RHO, SIGMA_A, SIGMA_NU, SIGMA_V, SIGMA_X, horizon_at
-from sugiyama_ros.driver.utility import ACTIONS
-from sugiyama_ros.effects.control import noise_factor
-from sugiyama_ros.effects.sensing import displacements, noise_std_factors, spoil
+from sugiyama_ros.driver.utility import ACTIONS, advance
+from sugiyama_ros.effects.control import displacements, noise_factor, noise_std_factors, spoil
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.drive import Order, Setting, begin, drive
 from sugiyama_ros.simulation.wandering import Wandering

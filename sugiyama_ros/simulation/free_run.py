@@ -9,8 +9,8 @@ with shocks, because cars brake harder than they accelerate.
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.driver.advance import advance
 from sugiyama_ros.driver.parameters import RHO, SIGMA_A
+from sugiyama_ros.driver.utility import advance
 from sugiyama_ros.effects.control import noise_factor
 from sugiyama_ros.jit import kernel
 from sugiyama_ros.simulation.drive import Order, Setting, Traffic, begin, drive, remember

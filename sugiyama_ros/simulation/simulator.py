@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.driver.advance import advance
 from sugiyama_ros.driver.parameters import (
     REFERENCE_PERIOD_S,
     RHO,
@@ -22,10 +21,9 @@ from sugiyama_ros.driver.parameters import (
     check,
     horizon_at,
 )
-from sugiyama_ros.driver.utility import ACTIONS
-from sugiyama_ros.effects.control import noise_factor
+from sugiyama_ros.driver.utility import ACTIONS, advance
+from sugiyama_ros.effects.control import displacements, noise_factor, noise_std_factors, spoil
 from sugiyama_ros.effects.registry import ROW
-from sugiyama_ros.effects.sensing import displacements, noise_std_factors, spoil
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.drive import Order, Setting, Traffic, begin, drive, remember, see

@@ -23,14 +23,13 @@ from sugiyama_ros.driver.parameters import (
     population,
 )
 from sugiyama_ros.driver.utility import ACTIONS
-from sugiyama_ros.filters.causal_kernel import SETTLING
+from sugiyama_ros.filters.causal import SETTLING
 from sugiyama_ros.filters.chain import CHAIN, Adaptation, chain_parameters
 from sugiyama_ros.filters.extract import chain_behind
-from sugiyama_ros.filters.learnt import Learnt
-from sugiyama_ros.filters.linearisation import linearise
-from sugiyama_ros.filters.online import ADAPT, OnlineFilter
-from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Moment, State, arrays_for, scene_at
-from sugiyama_ros.filters.vehicles import start_vehicle
+from sugiyama_ros.filters.online import ADAPT, Learnt, OnlineFilter
+from sugiyama_ros.filters.sample import start_vehicle
+from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Moment, State, scene_at, step_for
+from sugiyama_ros.filters.step import linearise
 from sugiyama_ros.road import Road
 from sugiyama_ros.studies.rings import CARS, jams
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
@@ -98,7 +97,6 @@ class _Unscented:
         self._rows = at_period(chain_parameters(row, None, CHAIN), period_s)
         self._places, self._prior_var = ADAPT.arrays
         self._prior_mean = np.log(self._rows[0, [UTILITY[k] for k in self._places]])
-        self._arrays = arrays_for(CHAIN, len(self._places), ACTIONS, period_s)
         size = STATE * CHAIN + len(self._places)
         points = MerweScaledSigmaPoints(size, alpha=1.0, beta=2.0, kappa=0.0)
         self._filter = UnscentedKalmanFilter(
@@ -110,6 +108,9 @@ class _Unscented:
         self._filter.P[STATE * CHAIN :, STATE * CHAIN :] = np.diag(self._prior_var)
         self._filter.R = np.diag(self._rows[:, SIGMA_NU] ** 2)
         self._known = np.zeros(CHAIN, np.int64)
+        state = State(np.zeros(size), np.zeros((size, size)), self._known)
+        drivers = Drivers(self._rows, self._places, self._prior_mean, self._prior_var)
+        self._step = step_for(state, drivers, Moment(np.zeros(CHAIN), np.full(3, np.nan), 0.0), self._scene, ACTIONS)
 
     @property
     def logs(self) -> Array:
@@ -135,16 +136,11 @@ class _Unscented:
 
     def _linearised(self, x: Array) -> tuple[Array, Array]:
         """Predict a state that is known for certain: its mean after one period, and the process noise."""
-        size = len(x)
-        linearise(
-            State(x, _SHARP**2 * np.eye(size), self._known),
-            Drivers(self._rows, self._places, self._prior_mean, self._prior_var),
-            Moment(self._length, np.full(3, np.nan), 0.0),
-            self._scene,
-            *self._arrays,
-        )
-        linearised = self._arrays[-1]
-        return linearised.next_mean.copy(), linearised.noise.copy()
+        step = self._step
+        step.state.mean[:], step.state.covariance[:] = x, _SHARP**2 * np.eye(len(x))
+        step.moment.length[:] = self._length
+        linearise(step)
+        return step.out.next_mean.copy(), step.out.noise.copy()
 
 
 class _Particles:

@@ -31,8 +31,8 @@ from sugiyama_msgs.msg import (
 from sugiyama_msgs.msg import Road as RoadMessage
 
 from fuzz import files, mutations
-from sugiyama_ros.drives import drives
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.filters.extract import drives
 from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.formats.choices import read_choices
 from sugiyama_ros.formats.mcap_reader import Bag

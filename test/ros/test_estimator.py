@@ -16,8 +16,7 @@ from sugiyama_ros.driver.parameters import NAMES, PARAMETERS, population
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.extract import chain_behind
-from sugiyama_ros.filters.learnt import Learnt
-from sugiyama_ros.filters.online import OnlineFilter
+from sugiyama_ros.filters.online import Learnt, OnlineFilter
 from sugiyama_ros.fit.classes import DriverTypes
 from sugiyama_ros.fit.model_file import write_drivers
 from sugiyama_ros.formats.registry import read_trajectories

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.filters.abreast import (
+    ABREAST,
     OFF,
     SHRINK,
     SLOPE,
@@ -16,9 +17,8 @@ from sugiyama_ros.filters.abreast import (
     state_of,
     take_in,
 )
-from sugiyama_ros.filters.state import STATE
-from sugiyama_ros.filters.transform import add_noise, transform
-from sugiyama_ros.filters.vectors import ABREAST
+from sugiyama_ros.filters.state import STATE, State
+from sugiyama_ros.filters.step import predict as predict_one
 
 _SIZE = 2 * STATE + 1
 # the held accelerations do not matter
@@ -58,10 +58,9 @@ def rng():
 def test_prediction_is_the_prediction_of_one_filter_bit_for_bit(abreast):
     expected = []
     for c in range(ABREAST):
-        covariance, one = abreast.covariance[:, :, c].copy(), linearised_of.py_func(c, abreast)
-        transform(covariance, one, np.zeros((_SIZE, _SIZE)))
-        add_noise(covariance, one)
-        expected.append((one.next_mean.copy(), covariance))
+        state = State(abreast.mean[:, c].copy(), abreast.covariance[:, :, c].copy(), np.zeros(2, np.int64))
+        predict_one(state, linearised_of.py_func(c, abreast), np.zeros((_SIZE, _SIZE)))
+        expected.append((state.mean, state.covariance))
     predict(abreast)
     live = np.ix_(_LIVE, _LIVE)
     for c, (mean, covariance) in enumerate(expected):

@@ -34,7 +34,6 @@ ORDER = (
     "effects",
     "simulation",
     "filters",
-    "drives",
     "workers",
     "fit",
     "diagnosis",

@@ -31,8 +31,9 @@ from sugiyama_ros.driver.utility import (
     ACTIONS,
     UTILITY_ROW,
     anticipate,
+    backward_penalty,
     collision_penalty,
-    desired_speed_reward,
+    forward_reward,
     gap_scale,
     mean_action,
     preferences,
@@ -107,9 +108,9 @@ def test_penalty_is_one_at_contact_and_falls():
 
 
 def test_reward_is_largest_at_the_desired_speed():
-    assert desired_speed_reward(10.0, 10.0, 0.7) == pytest.approx(1.0)
-    assert desired_speed_reward(-1.0, 10.0, 0.7) < -1000
-    assert math.isfinite(desired_speed_reward(-1e4, 10.0, 0.7))
+    assert forward_reward(10.0, 10.0, 0.7) == pytest.approx(1.0)
+    assert backward_penalty(-1.0) > 1000
+    assert math.isfinite(backward_penalty(-1e4))
 
 
 def test_scale_has_the_closing_term_only_when_closing():

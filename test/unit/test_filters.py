@@ -20,9 +20,15 @@ from sugiyama_ros.driver.parameters import (
 from sugiyama_ros.driver.utility import ACTIONS, mean_action
 from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.filters import paper, paper_kalman
-from sugiyama_ros.filters.causal import ChainJob, filter_chain, log_likelihood, predict_samples, predict_states
-from sugiyama_ros.filters.causal_kernel import SETTLING
+from sugiyama_ros.filters import paper
+from sugiyama_ros.filters.causal import (
+    SETTLING,
+    ChainJob,
+    filter_chain,
+    log_likelihood,
+    predict_samples,
+    predict_states,
+)
 from sugiyama_ros.filters.chain import Adaptation
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import ADAPT, OnlineFilter
@@ -97,11 +103,11 @@ def test_the_papers_filter_is_the_dense_posterior(jam):
     controls[1:, 2] = action[1:] - p[RHO] * action[:-1]
     start = np.array([z[0], perceived.speed[0], 0.0])
     filtered, innovation, variance = dense_posterior(
-        z, paper_kalman.phi(p[RHO], DT), controls, paper_kalman.omega(p), start, np.eye(3), p[SIGMA_NU] ** 2
+        z, paper.phi(p[RHO], DT), controls, paper.omega(p), start, np.eye(3), p[SIGMA_NU] ** 2
     )
     y, s, means = np.empty(kept), np.empty(kept), np.empty((kept, 3))
-    value = paper_kalman.run(
-        paper_kalman.Control(action, np.zeros((kept, len(UTILITY)))),
+    value = paper.run(
+        paper.Control(action, np.zeros((kept, len(UTILITY)))),
         z,
         perceived.speed[0],
         p,
@@ -109,12 +115,12 @@ def test_the_papers_filter_is_the_dense_posterior(jam):
         y,
         s,
         means,
-        paper_kalman.LikelihoodDerivatives(np.empty(len(p)), np.empty((len(p), len(p)))),
+        paper.LikelihoodDerivatives(np.empty(len(p)), np.empty((len(p), len(p)))),
     )
     assert means == pytest.approx(filtered, abs=1e-9)
     assert y == pytest.approx(innovation, abs=1e-9)
     assert s == pytest.approx(variance, abs=1e-9)
-    scored = slice(paper_kalman.UNSCORED, None)
+    scored = slice(paper.UNSCORED, None)
     assert value == pytest.approx(-0.5 * np.sum(np.log(s[scored]) + y[scored] ** 2 / s[scored]), abs=1e-9)
 
 
@@ -131,7 +137,7 @@ def test_the_causal_filter_is_the_dense_posterior_where_the_model_is_linear(jam)
         [[noise_var, noise_var / DT, 0], [noise_var / DT, speed_var, 0], [0, 0, LAST_SHOCK_STD**2 / (1 - LAST_RHO**2)]]
     )
     q = np.diag([p[SIGMA_X] ** 2, p[SIGMA_V] ** 2, LAST_SHOCK_STD**2])
-    phi = paper_kalman.phi(LAST_RHO, DT)
+    phi = paper.phi(LAST_RHO, DT)
     # the dense posterior starts after sample 1, which the start already includes
     expected, innovation, variance = dense_posterior(
         z[2:], phi, np.zeros((38, 3)), q, phi @ start, phi @ start_cov @ phi.T + q, noise_var

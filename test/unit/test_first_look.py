@@ -5,9 +5,12 @@ import pytest
 
 import sugiyama_ros as sg
 from sugiyama_ros.driver.parameters import SIGMA_NU, SIGMA_X, defaults
-from sugiyama_ros.filters.alarm import StyleAlarm
+from sugiyama_ros.effects.registry import ROW
+from sugiyama_ros.filters.alarm import check_style, excess_of, observe, onsets_for, predict_alarm
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import ADAPT, OnlineFilter
+from sugiyama_ros.filters.online_memory import Sizes, memory_for, online_arrays
+from sugiyama_ros.filters.state import State
 from sugiyama_ros.road import Road
 
 SMOOTH = {"sigma_nu": 0.004, "sigma_x": 0.0005, "sigma_v": 0.005}
@@ -108,14 +111,17 @@ def test_a_vehicle_that_stands_says_nothing():
 
 def alarms_of(innovations):
     """Number of alarms, and the variance of sums of innovations in the end; the jumps' signature fades slowly."""
-    alarm, given = StyleAlarm([12, 13], 14, PERIOD_S), 0
-    jacobian = np.eye(14)
+    arrays = online_arrays(memory_for(Sizes(3, 2, 0, 2 * onsets_for(PERIOD_S)[1], ROW.width)))
+    alarm, out, given = arrays.alarm, arrays.step.out, 0
+    alarm.begin(PERIOD_S)
+    out.columns[:], out.counts[:], out.jacobian[:] = np.arange(14), 14, np.eye(14)
+    jacobian = out.jacobian
     jacobian[0, :2], jacobian[0, 12], jacobian[1, 1], jacobian[1, 13] = (0.9, 0.1), 0.1, 0.9, 0.05
     for y in innovations:
-        alarm.predict(jacobian)
-        alarm.observe(y, 1.0)
-        given += alarm.check(np.zeros(14), np.zeros((14, 14))) is not None
-    return given, alarm.excess
+        predict_alarm(alarm, out, 12, 1.0)
+        observe(alarm, y, 1.0)
+        given += check_style(alarm, State(np.zeros(14), np.zeros((14, 14)), np.zeros(3, np.int64)), 12)[0] >= 0.0
+    return given, excess_of(alarm.colour)
 
 
 def test_innovations_that_follow_one_another_are_no_change_of_style():

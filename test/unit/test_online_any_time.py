@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from sugiyama_ros.filters.any_time import steps_between
+from sugiyama_ros.filters.first_look import steps_between
 from sugiyama_ros.filters.online import OnlineFilter
 from sugiyama_ros.road import Road
 

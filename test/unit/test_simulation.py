@@ -10,8 +10,8 @@ from sugiyama_ros.driver.utility import ACTIONS, mean_action
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN
-from sugiyama_ros.filters.linearisation import linearise
-from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Moment, State, arrays_for, scene_at
+from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Moment, State, scene_at, step_for
+from sugiyama_ros.filters.step import linearise
 from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.formats.truth import read_truth
 from sugiyama_ros.road import Road
@@ -95,8 +95,6 @@ def test_without_noise_the_filters_prediction_is_the_simulation():
     s = ring_of_22(0, quiet(22))
     size = STATE * CHAIN
     none, nothing = np.empty(0, np.int64), np.empty(0)
-    workspace, lanes, linearised = arrays_for(CHAIN, 0, ACTIONS, s.period_s)
-    next_mean = linearised.next_mean
     scene = scene_at(s.period_s, s.road.circumference_m)
     for _ in range(300):
         mean = np.zeros(size)
@@ -105,15 +103,10 @@ def test_without_noise_the_filters_prediction_is_the_simulation():
         mean[1::4] = s.speed[chain]
         known = np.full(CHAIN, MOVING)
         rows = np.stack([s.parameters[0]] * CHAIN)
-        linearise(
-            State(mean, np.zeros((size, size)), known),
-            Drivers(rows, none, nothing, nothing),
-            Moment(s.length_m[chain], np.full(3, np.nan), 0.0),
-            scene,
-            workspace,
-            lanes,
-            linearised,
-        )
+        state, drivers = State(mean, np.zeros((size, size)), known), Drivers(rows, none, nothing, nothing)
+        step = step_for(state, drivers, Moment(s.length_m[chain], np.full(3, np.nan), 0.0), scene, ACTIONS)
+        linearise(step)
+        next_mean = step.out.next_mean
         s.step()
         assert next_mean[[0, 4]] == pytest.approx(s.position_m[chain[:2]] + [0.0, 230.0], abs=1e-9)
         assert next_mean[[1, 5]] == pytest.approx(s.speed[chain[:2]], abs=1e-9)

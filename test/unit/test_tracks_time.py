@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.driver.parameters import population
-from sugiyama_ros.drives import chain_of, drives
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.causal import filter_chain
-from sugiyama_ros.filters.extract import chain_behind
+from sugiyama_ros.filters.extract import chain_behind, chain_of, drives
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.assemble import assemble

@@ -12,8 +12,7 @@ from sugiyama_ros.driver.parameters import NAMES, PARAMETERS, check_for_filter
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN, Adaptation
-from sugiyama_ros.filters.effect_filter import EffectFilter
-from sugiyama_ros.filters.effect_values import OF_LAW, STRENGTHS, check_names
+from sugiyama_ros.filters.effect_filter import OF_LAW, STRENGTHS, EffectFilter, check_names
 from sugiyama_ros.filters.online import ADAPT, OnlineFilter
 from sugiyama_ros.fit.model_file import ModelFile, read_model, typical_driver
 from sugiyama_ros.laws.registry import ADAPTIVE_SEEK, PAPERS
