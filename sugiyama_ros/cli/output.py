@@ -21,7 +21,7 @@ from sugiyama_ros.results import plain
 from sugiyama_ros.tables import TextTable
 
 if TYPE_CHECKING:
-    from sugiyama_ros.page.truth import AgainstTruth
+    from sugiyama_ros.page.recording import AgainstTruth
     from sugiyama_ros.trajectories.tracks import Tracks
     from sugiyama_ros.trajectories.trajectories import Trajectories
 

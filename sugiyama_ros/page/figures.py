@@ -13,12 +13,10 @@ from matplotlib.patches import Rectangle
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.outputs import Output, make_directory, writing
-from sugiyama_ros.page.found import found_in
 from sugiyama_ros.page.names import model_name, title_of
 from sugiyama_ros.page.panels.base import BLUE, GREEN, GREY, ORANGE, VERMILION, colour_of
-from sugiyama_ros.page.panels.measured import fastest, places, speeds
-from sugiyama_ros.page.panels.space_time import speeds_of_run
-from sugiyama_ros.page.panels.worth import error_growth
+from sugiyama_ros.page.panels.diagnosed import error_growth, found_in
+from sugiyama_ros.page.panels.measured import fastest, places, speeds, speeds_of_run
 from sugiyama_ros.page.recording import Recording
 
 # One column of a paper, and fonts that are embedded as they are.

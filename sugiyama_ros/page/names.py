@@ -5,6 +5,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from sugiyama_ros.effects.registry import EFFECTS
 from sugiyama_ros.tables import figure
 
 Document = Mapping[str, Any]
@@ -89,10 +90,16 @@ def model_name(name: str) -> str:
     known = dict(zip(MODELS, ("base model", "with what was added", "floor (simulated)"), strict=True))
     if name in known:
         return known[name]
+    if name.startswith(("base", "file:")):
+        return re.sub(r"\w+", lambda found: _effect_name(found[0]), name)
     law = name.removesuffix("_least_squares")
-    if law not in _LAWS and law == name:
-        return name if name.startswith(("base", "file:")) else spaced(name)
     return _LAWS.get(law, spaced(law)) + (", fitted to gaps" if law != name else "")
+
+
+def _effect_name(name: str) -> str:
+    """Name for people of an effect, with its identifier; another name as it is."""
+    title = EFFECTS[name].title if name in EFFECTS else name
+    return title if title == name else f"{title} ({name})"
 
 
 def column_name(column: str) -> str:

@@ -9,11 +9,10 @@ from bokeh.palettes import Cividis256
 from rerun import blueprint
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.page.card import name_of
 from sugiyama_ros.page.panels.base import COLOURS, GREY, from_above
 from sugiyama_ros.page.panels.measured import fastest, places, speeds
 from sugiyama_ros.page.recording import Recording
-from sugiyama_ros.page.words import found_in_words, headline, how_sure, reasons, what_to_do, worse
+from sugiyama_ros.page.words import sentences, what_to_do
 
 _TIMELINE = "time"
 # Width of a car and of a line of the road [m].
@@ -29,7 +28,7 @@ def log(stream: "rerun.RecordingStream", r: Recording, diagnosis: Mapping[str, A
     diagnosis: document of ``sugiyama diagnose --save``.
     """
     stream.send_blueprint(_layout(r))
-    stream.send_recording_name(name_of(r))
+    stream.send_recording_name(r.name)
     stream.log("verdict", rerun.TextDocument(_verdict(r, diagnosis), media_type="text/markdown"), static=True)
     _log_road(stream, r)
     place, speed = places(r), speeds(r)
@@ -130,17 +129,8 @@ def _rgb(*colours: str) -> Array:
 
 def _verdict(r: Recording, d: Mapping[str, Any] | None) -> str:
     """The verdict as text with headings."""
-    about = f"# {name_of(r)}\n\n{r.headline()}\n"
+    about = f"# {r.name}\n\n{r.headline()}\n"
     if d is None:
         return f"{about}\nWhat the model lacks is not known: give `--diagnosis`.\n"
-    parts = {
-        "What was found": found_in_words(d),
-        "How sure": [how_sure(d)] if d["verdict"]["effects"] else [],
-        "What gets worse": worse(d),
-        "What is left": reasons(d),
-        "What to do": [what_to_do(d)],
-    }
-    listed = "".join(
-        f"\n## {title}\n" + "".join(f"- {line}\n" for line in lines) for title, lines in parts.items() if lines
-    )
-    return f"{about}\n**{headline(d)}**\n{listed}"
+    first, *rest = sentences(d)
+    return f"{about}\n**{first}**\n\n" + "".join(f"- {line.strip()}\n" for line in [*rest, what_to_do(d)])

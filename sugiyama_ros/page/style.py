@@ -54,8 +54,6 @@ nav a { color: inherit; } nav .choose { margin-left: auto; display: flex; align-
 .panel { min-width: 0; } .wide { grid-column: 1 / -1; } section { scroll-margin-top: 5rem; }
 .three { grid-template-columns: repeat(3, minmax(0, 1fr)); }
 .road { grid-template-columns: minmax(0, 2fr) minmax(0, 1fr); } .one { grid-template-columns: minmax(0, 1fr); }
-.text { align-self: start; font-size: .9rem; min-width: 0; } #worth .text { order: -1; }
-#worth td:first-child { white-space: nowrap; } #worth td, #worth th { padding-right: .6rem; }
 .scroll { overflow-x: auto; }
 .swatch { display: inline-block; width: .8rem; height: .8rem; border-radius: 2px; margin-right: .4rem; }
 summary { cursor: pointer; } details { margin: .4rem 0; }
@@ -65,7 +63,6 @@ section td:first-child, section th:first-child, section .left td, section .left 
   { text-align: left; }
 .panels.side:not(.four) > .panel:last-child:nth-child(odd), .panels.four > .panel:last-child:nth-child(2n+1)
   { grid-column: 1 / -1; }
-#worth .panel:nth-child(even):nth-last-child(2) { grid-column: 1 / -1; }
 @media (max-width: 1099px) { .three, .road { grid-template-columns: minmax(0, 1fr); }
   .panels.side { grid-template-columns: minmax(0, 1fr); } .tile .number { font-size: 1.05rem; }
   .tile { padding: .5rem .6rem; } .bar { min-width: 3rem; } .card { grid-template-columns: minmax(0, 1fr); gap: .7rem; }

@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sugiyama_ros.page.names import MODELS, Document, model_name, models, nats
-from sugiyama_ros.page.words import ranked
 from sugiyama_ros.tables import TextTable
 
 # Rows that a comparison shows first.
@@ -26,6 +25,12 @@ def steps(d: Document) -> TextTable:
     """Return the base model, the model with the additions, and other laws: gains over the base model, and errors."""
     shown = {model_name(name): one for name, one in models(d).items()}
     return forecasts("Forecasts of unseen data; gains over the base model in nats", shown)
+
+
+def ranked(c: Document) -> list[Document]:
+    """The models of a comparison that count, the largest gain first: none in sample, and none on other samples."""
+    counted = [one for one in c["models"] if one["kind"] not in ("in_sample", "simulated")]
+    return sorted(counted, key=lambda one: -float(one["heldout_gain_nats"]))
 
 
 def compared(c: Document, *, show_all: bool = False) -> TextTable:

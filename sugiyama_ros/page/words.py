@@ -1,7 +1,8 @@
-"""All words of a diagnosis and of a comparison, out of their documents: what is missing, how sure, what to do."""
+"""All words of a diagnosis, a comparison and a critic, out of numbers: what is missing, how sure, what to do."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from functools import partial
 
 from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.page.names import (
@@ -27,6 +28,7 @@ from sugiyama_ros.page.names import (
     titled,
     worse_columns,
 )
+from sugiyama_ros.page.tables import ranked
 from sugiyama_ros.tables import figure
 
 # A single-car error of a driver that grows by this factor is told.
@@ -121,16 +123,8 @@ def gain_in_words(d: Document, n: Document) -> str:
     return f"{addition(d, n)}: {told}"
 
 
-def found_in_words(d: Document) -> list[str]:
-    """What was added, how large it is and how certain, one line each."""
-    return [f"{addition(d, n)}: {size_of(d, n)}; {certainty(n)}" for n in d["verdict"]["effects"]]
-
-
 def not_told_apart(d: Document, n: Document) -> str:
-    """What an addition cannot be told apart from; empty if it can be told apart from everything that was fitted.
-
-    Other effects are not fitted where somebody has asked for names.
-    """
+    """What an addition cannot be told apart from; empty if it can be told apart from everything that was fitted."""
     return listed([named(d, other) for other in n["indistinguishable"]], "or")
 
 
@@ -142,21 +136,16 @@ def closest(d: Document, n: Document) -> str:
     name, behind, se = named(d, one["name"]), float(one["behind_nats"]), float(one["behind_se"])
     if behind >= 0.0:
         return f"the physical effect that comes closest, {name}, is {nats(behind, se)} nats behind"
-    return (
-        f"{name} gains {nats(-behind, se)} nats more, but cannot be added: some forecasts get worse, or its values make"
-        " no physical sense"
-    )
+    why = "some forecasts get worse, or its values make no physical sense"
+    return f"{name} gains {nats(-behind, se)} nats more, but cannot be added: {why}"
 
 
 def equation(d: Document) -> str:
     """The model as an equation, with what is new in brackets, and the values; empty if nothing was added."""
     sums, rules, values = "", [], []
     for n in d["verdict"]["effects"]:
-        about, known, stds = (
-            d.get("about", {}).get(form_of(n), {}),
-            n.get("parameters", {}),
-            n.get("parameters_std", {}),
-        )
+        about = d.get("about", {}).get(form_of(n), {})
+        known, stds = n.get("parameters", {}), n.get("parameters_std", {})
         term = str(about.get("term") or "").replace("covariate", str(n.get("covariate")))
         if term.startswith(("+", "-")):
             sums += f" [{term}]"
@@ -244,12 +233,6 @@ def reasons(d: Document) -> list[str]:
     return [check_in_words(d, one) for one in failed(d)]
 
 
-def laws_ahead(d: Document) -> list[str]:
-    """Other laws that gain more than the final model, without a clear lead."""
-    ahead = [one for one in d.get("checks", ()) if one["name"].startswith("gain_of_") and float(one["value"]) > 0.0]
-    return [check_in_words(d, one) for one in ahead if not one["failed"]]
-
-
 # The verdict
 
 
@@ -303,10 +286,8 @@ def _without_physics(d: Document, effects: Sequence[Document]) -> str:
         "constants": "these drivers do not have the paper's constants",
         "noise": "these drivers do not have the paper's noises",
     }
-    parts = []
-    for kind, words in says.items():
-        if mine := [n for n in effects if n["kind"] == kind]:
-            parts.append(f"{words}: {_of(d, mine)}")
+    mine = {kind: [n for n in effects if n["kind"] == kind] for kind in says}
+    parts = [f"{words}: {_of(d, mine[kind])}" for kind, words in says.items() if mine[kind]]
     near = next((text for n in effects if (text := closest(d, n))), "")
     return "; ".join([*parts, *([near] if near else [])]) + "."
 
@@ -362,18 +343,16 @@ def cautions(d: Document) -> list[str]:
 
 def fall(d: Document) -> str:
     """How the error after 10 s falls, and how much of the fall physics brings; empty where it is not known."""
-    ends = [_after_10_s(d["errors"].get(when, {})) for when in ("before", "after")]
+    ends = [end for when in MODELS[:2] if (end := _after_10_s(d["errors"].get(when, {}))) is not None]
     shares = d["verdict"].get("fall")
-    if not d["verdict"]["effects"] or None in ends or not shares:
+    if not d["verdict"]["effects"] or len(ends) < 2 or not shares:
         return ""
-    before, after = (float(end) for end in ends if end is not None)
-    text = " -> ".join(distances(before, after))
-    if after >= before:
+    text = " -> ".join(distances(*ends))
+    if ends[1] >= ends[0]:
         return f"The error after 10 s does not fall: {text}."
-    physics = ["physical effects bring" if float(shares["physics_m"]) > 0.0 else "physical effects bring none of it"]
-    if float(shares["physics_m"]) > 0.0:
-        physics.append(distances(float(shares["physics_m"]))[0] if float(shares["other_m"]) else "all of it")
-    return f"The error after 10 s falls, {text}; {' '.join(physics)}."
+    physics, other = float(shares["physics_m"]), float(shares["other_m"])
+    share = "none of it" if physics <= 0.0 else distances(physics)[0] if other else "all of it"
+    return f"The error after 10 s falls, {text}; physical effects bring {share}."
 
 
 def _after_10_s(errors: Document) -> float | None:
@@ -392,10 +371,8 @@ def what_to_do(d: Document) -> str:
         names = " Do not take the names for causes." if effects else ""
         return f"{lead}{names}{_tell_apart(advice)}{_best_predictor(d)}"
     if not effects:
-        return (
-            "Use the model as it is. The table of what these data would have shown says how small a missing effect may"
-            " be."
-        )
+        small = "The table of what these data would have shown says how small a missing effect may be."
+        return f"Use the model as it is. {small}"
     if not any(map(is_supported, effects)):
         return "Leave it out, unless you know from elsewhere that the drivers have it."
     if advice:
@@ -462,7 +439,8 @@ def sentences(d: Document) -> list[str]:
     lines.append(f"The model, with what is new in brackets: {model}" if model else "")
     lines += [f"Fails: {one}." for one in reasons(d)]
     lines.append(f"{checks_hold(d)}." if d.get("checks") else "")
-    lines += [f"{_capital(one)}: it may be ahead by chance." for one in laws_ahead(d)]
+    ahead = [one for one in d.get("checks", ()) if one["name"].startswith("gain_of_") and float(one["value"]) > 0.0]
+    lines += [f"{_capital(check_in_words(d, one))}: it may be ahead by chance." for one in ahead if not one["failed"]]
     lines += [f"{_capital(one)}." for one in worse(d)]
     for when, of in (("before", "The base model"), ("after", "The model with the additions")):
         if when in d.get("where", {}) and (effects or when == "before"):
@@ -542,12 +520,6 @@ def left_out(number: int, drivers: int) -> str:
 # Comparisons
 
 
-def ranked(c: Document) -> list[Document]:
-    """The models of a comparison that count, the largest gain first: none in sample, and none on other samples."""
-    counted = [one for one in c["models"] if one["kind"] not in ("in_sample", "simulated")]
-    return sorted(counted, key=lambda one: -float(one["heldout_gain_nats"]))
-
-
 def best_model(c: Document) -> str:
     """Which model of a comparison forecasts best, and which ones cannot be told apart from it; none in sample."""
     own = [model_name(one["name"]) for one in c["models"] if one["kind"] == "in_sample"]
@@ -566,6 +538,44 @@ def best_model(c: Document) -> str:
 
 def _behind(one: Document) -> str:
     return f"{model_name(one['name'])} is {gained(one['behind'])} nats behind"
+
+
+# Critics
+
+#: Why a critic may say something else than a diagnosis.
+WHY = (
+    "the critic hears each sample once, adds one effect at a time out of those that it knows, and holds no data out;"
+    " a diagnosis compares all effects on data that no fit has seen"
+)
+
+# A lead over the base model [nats] that chance and the filter's approximations may bring.
+_CHANCE_NATS = 10.0
+
+
+def may_be_chance(best: str, lead: float) -> bool:
+    """Return whether chance may bring the lead [nats] of a model over the base model."""
+    return best != "base" and lead < _CHANCE_NATS
+
+
+def beside_the_verdict(d: Document | None, best: str, added: Collection[str], lead: float = float("inf")) -> str:
+    """Say what a critic prefers at the end, ``base`` or an effect, and whether the verdict of a diagnosis agrees."""
+    words = partial(title_of, d or {})
+    had = f", beyond what the estimators had already ({', '.join(map(words, added))})" if added else ""
+    text = f"The critic of this run finds {'nothing' if best == 'base' else words(best)} missing{had}."
+    if may_be_chance(best, lead):
+        by_chance = f"{words(best)} leads by {lead:.0f} nats, which may be chance"
+        text = f"The critic of this run finds nothing clearly missing{had}: {by_chance}."
+        best = "base"
+    if d is None:
+        return f"{text} This is no verdict: {WHY}."
+    effects = {str(n["name"]): n["indistinguishable"] for n in d["verdict"]["effects"]}
+    missing = [name for name in effects if name not in added]
+    if best in missing or (best == "base" and not missing):
+        return f"{text} The verdict above says the same."
+    alike = [name for name in missing if best in effects[name]]
+    if alike:
+        return f"{text} The verdict above cannot tell it apart from {words(alike[0])}."
+    return f"{text} The verdict above is another one, and it counts: {WHY}."
 
 
 # Lists

@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 import yaml
 
-from sugiyama_ros.page.critic import WHY, beside_the_verdict, may_be_chance, preferred
 from sugiyama_ros.page.names import addition
-from sugiyama_ros.page.recording import read_recording
-from sugiyama_ros.page.words import badge, headline, sentences
+from sugiyama_ros.page.recording import preferred, read_recording
+from sugiyama_ros.page.words import WHY, badge, beside_the_verdict, headline, may_be_chance, sentences
 
 pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(3600)]
 SUGIYAMA = str(Path(sys.executable).with_name("sugiyama"))

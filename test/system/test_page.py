@@ -31,18 +31,16 @@ from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.nodes.base import environment
 from sugiyama_ros.page import live
-from sugiyama_ros.page.critic import WHY, beside_the_verdict, preferred
 from sugiyama_ros.page.diagnosis import read_diagnosis
 from sugiyama_ros.page.feed import KEPT, Log, Status
-from sugiyama_ros.page.found import Found, found_in
-from sugiyama_ros.page.html import detectable
 from sugiyama_ros.page.layouts import lichtblick, plotjuggler
+from sugiyama_ros.page.live import status_line
 from sugiyama_ros.page.panels.base import from_above
+from sugiyama_ros.page.panels.diagnosed import Found, found_in, growth
 from sugiyama_ros.page.panels.measured import frame_mps
-from sugiyama_ros.page.panels.worth import growth
-from sugiyama_ros.page.recording import read_recording
-from sugiyama_ros.page.report import report, write_report
-from sugiyama_ros.page.status import status_line
+from sugiyama_ros.page.recording import preferred, read_recording
+from sugiyama_ros.page.report import detectable, report, write_report
+from sugiyama_ros.page.words import WHY, beside_the_verdict
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.desired_speed import known_only
 
@@ -94,7 +92,7 @@ def test_what_was_recorded_is_read_back(recorded):
 
 def test_a_page_of_trajectories_alone_says_what_was_measured(recorded):
     text = report(read_recording(recorded.parent / "sim.mcap"), None)
-    assert "What was measured" in text
+    assert "What was simulated" in text
     assert "Where it fails" not in text
 
 
@@ -158,11 +156,12 @@ def test_what_is_drawn_into_the_maps_has_a_name():
     assert found_in(("speed", "gap"), nothing, 0.0) == []
 
 
-def test_no_model_is_left_out_of_the_growth_of_errors():
-    names = ("before", "after", "idm", "idm_least_squares", "fvdm", "fvdm_least_squares", "constant_speed")
-    plot = growth({**DIAGNOSIS, "errors": {name: DIAGNOSIS["errors"]["before"] for name in names}}, "free_run", "")
-    assert len(plot.renderers) == len(names)
-    assert len({line.glyph.line_color for line in plot.renderers}) == len(names)
+def test_the_growth_of_errors_shows_the_base_model_the_final_one_and_the_best_other_laws():
+    ends = {"before": 2.0, "after": 1.0, "idm": 3.0, "fvdm": 2.5, "ovm": 40.0, "gipps": 2.8}
+    grown = {name: {"free_run_5s_m": 0.5 * end, "free_run_10s_m": end} for name, end in ends.items()}
+    plot = growth({**DIAGNOSIS, "errors": grown}, "free_run", "")
+    assert {line.name for line in plot.renderers} == {"base model", "with what was added", "FVDM", "Gipps"}
+    assert len({line.glyph.line_color for line in plot.renderers}) == len(plot.legend[0].items) == 4
 
 
 def test_a_desired_speed_that_the_data_do_not_tell_is_not_shown():
@@ -245,7 +244,7 @@ def test_figures_for_a_paper(recorded, page, tmp_path):
 # Boxes of all cells of the report, by the top: left, top, right, bottom [pixels].
 CELLS = """[...document.querySelectorAll(
         ".card > *, .tile, .panel, .text, section > p, section > .scroll > table, .tile td")]
-    .filter(e => !e.matches(".tiles")).map(e => { const r = e.getBoundingClientRect();
+    .filter(e => !e.matches(".tiles, details:not([open]) *")).map(e => { const r = e.getBoundingClientRect();
         return [r.left, r.top + scrollY, r.right, r.bottom + scrollY, e.matches("td, .tile") ? 1 : 0] })
     .filter(b => b[2] > b[0] && b[3] > b[1])"""
 READY = "window.Bokeh && Bokeh.documents.length && Bokeh.documents[0].is_idle"
@@ -421,7 +420,7 @@ def choose_drivers(shown, recorded):
     place = r.trajectories.road.wrap(r.trajectories.position_m)
     k = next(k for k in range(60, 120) if abs(place[k + 1, 3] - place[k, 3]) < 10.0)
     middle = [float(a[k : k + 2].mean()) for a in (r.time_s, place[:, 3])]
-    shown.mouse.click(*shown.evaluate(POINT, ["Measured", *middle]))
+    shown.mouse.click(*shown.evaluate(POINT, ["Simulated", *middle]))
     follows(3)
 
 

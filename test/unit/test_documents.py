@@ -14,7 +14,7 @@ from sugiyama_ros.driver.parameters import NAMES, defaults
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.page.diagnosis import read_diagnosis
-from sugiyama_ros.page.panels import missing, worth
+from sugiyama_ros.page.panels.diagnosed import candidates, growth
 
 PARAMETERS = dict(zip(NAMES, defaults().tolist(), strict=True))
 MODEL = {
@@ -128,7 +128,7 @@ def test_a_diagnosis_is_read_or_refused_whatever_stands_in_each_field(tmp_path: 
             found = read_or_refuse(read_diagnosis, path)
             refused += found is None
             if found is not None:
-                missing.candidates(found), worth.growth(found, "free_run", "")
+                candidates(found), growth(found, "free_run", "")
     assert refused > 200
     path.write_text(json.dumps(DIAGNOSIS))
     assert read_diagnosis(path) == DIAGNOSIS

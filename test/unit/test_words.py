@@ -278,6 +278,8 @@ def test_a_comparison_names_the_best_model_and_what_is_alike() -> None:
     )
     c = comparison(BASE, best, model("idm", "law", 30.0, (50.0, 6.0)))
     assert best_model(c).endswith("; IDM is 50 ± 6 nats behind.")
+    best = model("base + slow_patch", "asked", 80.0, (0.0, 0.0))
+    assert best_model(comparison(BASE, best)).startswith("base + slower stretch of road (slow_patch) forecasts")
 
 
 def test_no_model_beats_the_base_model() -> None:

@@ -1,18 +1,32 @@
-"""Panels of the drivers: desired speed and risk premium against each other and over time, and one driver in detail."""
+"""Panels of the drivers: desired speed and risk premium against each other, over time and against the truth, and one
+driver in detail.
+"""
 
 import math
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from bokeh.models import ColumnDataSource, DataRange1d, HoverTool, UIElement
+from bokeh.models import ColumnDataSource, DataRange1d, HoverTool, UIElement, Whisker
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.page.names import title_of
-from sugiyama_ros.page.panels.base import BLUE, CHOSEN, GREEN, GREY, MOVING_S, ORANGE, SINGLE, SKY, legend_above, panel
-from sugiyama_ros.page.panels.chosen import Chosen
-from sugiyama_ros.page.panels.measured import naive_speeds
-from sugiyama_ros.page.recording import Recording
+from sugiyama_ros.page.panels.base import (
+    BLUE,
+    CHOSEN,
+    GREEN,
+    GREY,
+    MOVING_S,
+    ORANGE,
+    SINGLE,
+    SKY,
+    VERMILION,
+    Chosen,
+    legend_above,
+    panel,
+)
+from sugiyama_ros.page.panels.measured import two_point_speeds
+from sugiyama_ros.page.recording import SHOWN, AgainstTruth, Recording
 from sugiyama_ros.trajectories.desired_speed import known_only
 
 _NAMES = {"v_star": "desired speed v* [m/s]", "kappa_v": "risk premium κ_v [s]"}
@@ -131,12 +145,12 @@ def in_detail(r: Recording, chosen: Chosen) -> list[UIElement]:
     shown = chosen.series(
         time=np.broadcast_to(r.time_s[:, None], s["speed"].shape),
         low=s["speed"] - s["speed_std"], high=s["speed"] + s["speed_std"], speed=s["speed"],
-        measured=naive_speeds(r), meant=s["mean_action"], innovation=np.where(counts, s["innovation_m"], np.nan),
+        measured=two_point_speeds(r), meant=s["mean_action"], innovation=np.where(counts, s["innovation_m"], np.nan),
         below=np.where(counts, -2.0 * std, np.nan), above=np.where(counts, 2.0 * std, np.nan),
     )  # fmt: skip
     speed = panel("The chosen driver: speed, with one standard deviation", "time [s]", "speed [m/s]")
     speed.varea("time", "low", "high", source=shown, color=BLUE, alpha=0.3)
-    speed.line("time", "measured", source=shown, color=GREY, legend_label="from two positions, smoothed")
+    speed.scatter("time", "measured", source=shown, color=GREY, size=3, legend_label="from two positions")
     speed.line("time", "speed", source=shown, color=BLUE, legend_label="filtered", line_width=2)
     legend_above(speed)
     error = panel("Error of the next position, with two deviations", "time [s]", "error [m]", x_range=speed.x_range)
@@ -173,4 +187,25 @@ def weights(r: Recording, diagnosis: Mapping[str, Any]) -> UIElement:
     for name, colour in zip(shown, (BLUE, CHOSEN, GREEN, ORANGE, GREY), strict=False):
         plot.line(r.verdict_s, r.weights[name], color=colour, legend_label=title_of(diagnosis, name), line_width=2)
     legend_above(plot)
+    return plot
+
+
+def against_truth(found: AgainstTruth, name: str) -> UIElement:
+    """Estimate of one parameter over its truth, with 95 % intervals; on the grey line, both are equal."""
+    of = [one for one in found.parameters if one.name == name]
+    source = ColumnDataSource(
+        {
+            "truth": [one.truth for one in of],
+            "estimate": [one.estimate for one in of],
+            "lower": [one.lower for one in of],
+            "upper": [one.upper for one in of],
+            "colour": [BLUE if one.covered else VERMILION for one in of],
+        }
+    )
+    unit = SHOWN[name]
+    plot = panel(f"{name}: estimate and truth; red: outside of the interval", f"true [{unit}]", f"estimated [{unit}]")
+    ends = [f(one.truth for one in of) for f in (min, max)] if of else []
+    plot.line(ends, ends, color=GREY)
+    plot.scatter("truth", "estimate", source=source, size=8, color="colour")
+    plot.add_layout(Whisker(base="truth", lower="lower", upper="upper", source=source, line_color=GREY))
     return plot

@@ -1,24 +1,44 @@
-"""Panels of what was measured: speeds, and the road from above."""
+"""Panels of what was measured: speeds, the road from above, and diagrams of space and time, one of them small."""
+
+from base64 import b64encode
+from collections.abc import Mapping
+from io import BytesIO
+from typing import Any, NamedTuple
 
 import numpy as np
 from bokeh.layouts import column, row
-from bokeh.models import Button, ColumnDataSource, CustomJS, DataRange1d, HoverTool, Slider, UIElement
+from bokeh.models import (
+    Button,
+    ColumnDataSource,
+    CustomJS,
+    DataRange1d,
+    HoverTool,
+    LinearColorMapper,
+    Slider,
+    Span,
+    UIElement,
+)
+from bokeh.palettes import Cividis256
+from PIL import Image
 
-from sugiyama_ros.arrays import Array
+from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.page.panels.base import (
     BLUE,
+    CHOSEN,
     GREEN,
     GREY,
     ORANGE,
     SINGLE,
     VERMILION,
+    Chosen,
+    colour_bar,
     from_above,
     legend_above,
     panel,
     speed_colours,
 )
-from sugiyama_ros.page.panels.chosen import Chosen
 from sugiyama_ros.page.recording import Recording
+from sugiyama_ros.road import Road
 
 # Vehicles on a shorter part of the road than this share of it, at any time, are a platoon that drives along.
 _PLATOON = 0.25
@@ -135,15 +155,131 @@ def speeds(r: Recording) -> Array:
 
 def naive_speeds(r: Recording) -> Array:
     """Speeds (T, N) [m/s] from differences of measured positions, smoothed over 5 samples."""
-    t = r.trajectories
-    speed = np.full_like(t.position_m, np.nan)
-    speed[:-1] = t.road.difference(t.position_m[1:], t.position_m[:-1]) / t.period_s
+    speed = two_point_speeds(r)
     known = np.isfinite(speed)
     number, summed = (_moving_sum(a) for a in (known.astype(np.float64), np.where(known, speed, 0.0)))
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(np.where(number > 0.0, summed / number, np.nan), dtype=np.float64)
 
 
+def two_point_speeds(r: Recording) -> Array:
+    """Speeds (T, N) [m/s] from each measured position and the next one."""
+    t = r.trajectories
+    speed = np.full_like(t.position_m, np.nan)
+    speed[:-1] = t.road.difference(t.position_m[1:], t.position_m[:-1]) / t.period_s
+    return speed
+
+
 def _moving_sum(values: Array) -> Array:
     """Sum (T, N) over 5 samples."""
     return np.asarray(np.apply_along_axis(np.convolve, 0, values, np.ones(5), mode="same"), dtype=np.float64)
+
+
+# Number of points of one diagram, at most.
+_POINTS = 20_000
+
+
+def space_time(r: Recording, chosen: Chosen) -> UIElement:
+    """Position over time of every vehicle, coloured by speed, with the driver who is chosen as a line."""
+    every = max(1, -(-r.trajectories.position_m.size // _POINTS))
+    place, speed = places(r)[::every], speeds(r)[::every]
+    time = np.broadcast_to(r.time_s[::every, None], place.shape)
+    drawn = np.isfinite(np.diff(place, axis=0)) & ~_jumps(place, r.trajectories.road)
+    title = "Simulated" if r.is_simulated else "Measured"
+    plot, source = _diagram(title, _Seen(time, place, speed, drawn, frame_mps(r)), speed_colours(fastest(r)))
+    chosen.points(plot, source, np.broadcast_to(np.arange(place.shape[1]), drawn.shape)[drawn].tolist())
+    line = place.copy()
+    line[1:][_jumps(place, r.trajectories.road)] = np.nan
+    line = chosen.series(time=time, position=_relative(line, time, frame_mps(r)))
+    plot.line("time", "position", source=line, color=CHOSEN, line_width=2)
+    return plot
+
+
+def simulated(r: Recording, diagnosis: Mapping[str, Any], measured_plot: Any) -> list[UIElement]:
+    """The same road, driven by the model before and after the additions; it starts anew in each block of time."""
+    run = diagnosis.get("free_run")
+    if not run or not run["time_s"]:  # tracks have no road on which all cars could drive
+        return []
+    colours = speed_colours(fastest(r))
+    time_s, block = np.array(run["time_s"], dtype=np.float64), np.array(run["block"])
+    starts = time_s[1:][np.diff(block) > 0]
+    found = []
+    names = [("before", "The model drives, before"), ("after", "The model drives, with what was added")]
+    for name, title in names if diagnosis["verdict"]["effects"] else [("before", "The model drives")]:
+        place = np.array(run[name], dtype=np.float64)
+        speed = speeds_of_run(r.trajectories.road, time_s, block, place)
+        time = np.broadcast_to(time_s[:, None], place.shape)
+        drawn = np.isfinite(np.diff(place, axis=0)) & ~_jumps(place, r.trajectories.road)
+        drawn &= (np.diff(block) == 0)[:, None]
+        ranges = {"x_range": measured_plot.x_range, "y_range": measured_plot.y_range}
+        plot, _ = _diagram(title, _Seen(time, place, speed, drawn, frame_mps(r)), colours, **ranges)
+        for start in starts.tolist():
+            plot.add_layout(Span(location=start, dimension="height", line_color=GREY, line_dash="dotted"))
+        found.append(plot)
+    return found
+
+
+def speeds_of_run(road: Road, time_s: Array, block: Array, place: Array) -> Array:
+    """Speeds (T, N) [m/s] from differences of positions inside the blocks."""
+    speed = np.full_like(place, np.nan)
+    speed[:-1] = road.difference(place[1:], place[:-1]) / np.diff(time_s)[:, None]
+    last = np.flatnonzero(np.diff(block) > 0)
+    for k in (*last.tolist(), len(place) - 1):
+        speed[k] = speed[k - 1]
+    return speed
+
+
+def _jumps(place: Array, road: Road) -> Mask:
+    """Whether (T - 1, N) a vehicle comes to the end of a ring between two samples, and begins at 0 m anew."""
+    return np.asarray(np.abs(np.diff(place, axis=0)) > (0.5 * road.circumference_m if road.is_ring else np.inf))
+
+
+class _Seen(NamedTuple):
+    """Times, places and speeds (T, N); from which samples (T - 1, N) a line goes on; the observer's speed [m/s]."""
+
+    time: Array
+    place: Array
+    speed: Array
+    drawn: Mask
+    frame: int
+
+
+def _relative(place: Array, time: Array, frame: int) -> Array:
+    """Places as an observer sees them who is at 0 m at time 0."""
+    return place - frame * time
+
+
+def _diagram(title: str, seen: _Seen, colours: LinearColorMapper, **ranges: Any) -> tuple[Any, ColumnDataSource]:
+    """A line from each sample to the next one."""
+    time, place = seen.time, _relative(seen.place, seen.time, seen.frame)
+    ends = {"time": time[:-1], "position": place[:-1], "speed": seen.speed[:-1], "later": time[1:], "on": place[1:]}
+    source = ColumnDataSource({name: values[seen.drawn].astype(SINGLE) for name, values in ends.items()})
+    label = f"position - {seen.frame} m/s × time [m]" if seen.frame else "position [m]"
+    plot = panel(title, "time [s]", label, **ranges)
+    colour = {"field": "speed", "transform": colours}
+    plot.segment("time", "position", "later", "on", source=source, line_width=2.5, line_color=colour,
+                 nonselection_line_alpha=1.0)  # fmt: skip
+    colour_bar(plot, colours, "speed [m/s]")
+    return plot, source
+
+
+_WIDTH, _HEIGHT = 150, 50
+
+
+def thumbnail(r: Recording) -> str:
+    """A small picture of speeds as an address for HTML; time runs to the right, the road upward, fast is yellow."""
+    place, speed = places(r), speeds(r)
+    time = np.broadcast_to(r.time_s[:, None], place.shape)
+    place = place - frame_mps(r) * time
+    known = np.isfinite(place) & np.isfinite(speed)
+    bins = (_WIDTH, _HEIGHT)
+    count, *edges = np.histogram2d(time[known], place[known], bins=bins)
+    total = np.histogram2d(time[known], place[known], bins=edges, weights=speed[known])[0]
+    share = np.clip(total / np.maximum(count, 1) / fastest(r), 0.0, 1.0)
+    colours = np.array([[int(c[k : k + 2], 16) for k in (1, 3, 5)] for c in Cividis256], dtype=np.uint8)
+    pixels = np.zeros((*bins, 4), dtype=np.uint8)
+    pixels[..., :3] = colours[(share * 255).astype(int)]
+    pixels[..., 3] = np.where(count > 0, 255, 40)
+    stream = BytesIO()
+    Image.fromarray(np.ascontiguousarray(pixels.transpose(1, 0, 2)[::-1])).save(stream, "PNG")
+    return "data:image/png;base64," + b64encode(stream.getvalue()).decode()
