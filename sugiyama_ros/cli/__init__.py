@@ -67,7 +67,7 @@ def _say_unless_half_made(error: "sys.UnraisableHookArgs") -> None:
 
 def _cause_outside(error: Exception) -> str | None:
     """What the user reads where the system refused something; None for an error of the program itself."""
-    from sugiyama_ros.cli.memory import limit_bytes
+    from sugiyama_ros.cli.app import limit_bytes
 
     if isinstance(error, OSError) and error.errno is not None:
         where = error.filename if error.filename is not None else "the output"

@@ -1,5 +1,7 @@
 """The commands. Each command imports what it needs when it runs, so that ``sugiyama --help`` answers at once."""
 
+import contextlib
+import ctypes
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -7,8 +9,8 @@ import typer
 from typer.core import TyperCommand
 
 from sugiyama_ros import inputs, progress
-from sugiyama_ros.cli import calibrate, catalogue, data, demo, diagnose, report, run, simulate, study, view
-from sugiyama_ros.cli.memory import check_limit, share_heap
+from sugiyama_ros.cli import calibrate, catalogue, data, demo, diagnose, report, run, simulate, study
+from sugiyama_ros.errors import InputError
 
 # Names of arguments and options whose files are written; all other files that a command is given are inputs.
 _WRITTEN = {"output", "save", "figures", "save_state", "directory"}
@@ -39,7 +41,7 @@ for command in (
     catalogue.effects,
     catalogue.laws,
     report.report,
-    view.view,
+    report.view,
     run.live,
     data.convert,
     data.fetch,
@@ -68,3 +70,31 @@ def sugiyama(
     check_limit()
     share_heap()
     progress.on_compiling = progress.CompilingTold()
+
+
+#: Address space [bytes] below which libraries may end in an endless loop instead of an error.
+_LEAST = 1 << 30
+# Parameter of mallopt in glibc: the largest number of heaps.
+_HEAPS = -8
+
+
+def limit_bytes() -> int | None:
+    """Address space that the program may take; None without a limit."""
+    import resource
+
+    soft = resource.getrlimit(resource.RLIMIT_AS)[0]
+    return None if soft == resource.RLIM_INFINITY else soft
+
+
+def check_limit() -> None:
+    """Raise InputError if the shell gives less address space than the libraries need."""
+    limit = limit_bytes()
+    if limit is not None and limit < _LEAST:
+        raise InputError(f"ulimit -v: gives {limit >> 20} MB of memory; the commands need {_LEAST >> 20} MB or more")
+
+
+def share_heap() -> None:
+    """Let all threads share one heap: by default each has its own, and keeps what it has freed (glibc)."""
+    # other C libraries have no mallopt
+    with contextlib.suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).mallopt(_HEAPS, 1)

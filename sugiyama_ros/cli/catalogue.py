@@ -43,7 +43,7 @@ def _show(found: Mapping[str, Any], in_detail: bool, as_json: bool) -> None:
         print_json([{"name": name, **_document(one)} for name, one in found.items()])
         return
     for name, one in found.items():
-        print_line(f"{name}: {one.title}")
+        print_line(one.title if one.title == name else f"{one.title} ({name})")
         print_line(f"    {one.summary}")
         for p in one.parameters:
             text = f"    {p.name} {f'[{p.unit}]' if p.unit not in ('', '1') else ''}".rstrip()

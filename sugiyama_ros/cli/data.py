@@ -11,7 +11,6 @@ import typer
 
 from sugiyama_ros.cli.options import Json, Overwrite, Ring, names, takes
 from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, progress, tell, to_json
-from sugiyama_ros.cli.summary import document_of, ledger, lines_of
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.outputs import Output, name_of_part
 from sugiyama_ros.tables import TextTable
@@ -19,6 +18,9 @@ from sugiyama_ros.tables import TextTable
 if TYPE_CHECKING:
     from sugiyama_ros.formats.convert import Part
     from sugiyama_ros.formats.mcap_reader import BagInfo
+
+# Year in which stamps begin.
+_EPOCH = 1970
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,7 +81,7 @@ def convert(options: ConvertOptions) -> None:
     from sugiyama_ros.formats.convert import convert_tracks
 
     tracks = convert_tracks(options.source, _output(options), part)
-    document = {"output": str(options.output), **document_of(tracks)}
+    document = {"output": str(options.output), **_document_of(tracks)}
     if options.as_json:
         print_json(document)
         return
@@ -106,7 +108,7 @@ def _convert_seen(options: ConvertOptions) -> None:
     bridge = read_bridge(options.bridge) if options.bridge is not None else None
     tracks = tracks_of_bag(options.source, options.odometry, read_lanes(options.centre_line), settings, bridge)
     write_tracks(tracks, output)
-    document = {"output": str(options.output), **document_of(tracks)}
+    document = {"output": str(options.output), **_document_of(tracks)}
     if options.as_json:
         print_json(document)
         return
@@ -172,10 +174,10 @@ def _convert_to_bag(options: ConvertOptions) -> None:
 
 
 def _print_tracks(document: dict[str, Any]) -> None:
-    for key, value in lines_of(document):
+    for key, value in _lines_of(document):
         print_line(f"{key + ':':<13}{value}")
     if document["dropped"]:
-        print_table(ledger(document), boxed=False)
+        print_table(_ledger(document), boxed=False)
 
 
 def fetch(
@@ -205,14 +207,28 @@ def fetch(
 
 
 def info(
-    file: Annotated[Path, typer.Argument(help="MCAP file, directory of rosbag2, or trajectories in any known format.")],
+    files: Annotated[
+        list[Path],
+        typer.Argument(help="MCAP files, directories of rosbag2, or trajectories in any known format."),
+    ],
     ring: Ring = None,
     as_json: Json = False,
 ) -> None:
-    """Show what a file contains.
+    """Show what files contain.
 
     Of trajectories: vehicles, classes, lanes, time and leaders. Of an MCAP file: topics, as `ros2 bag info` does.
     """
+    documents = []
+    for number, file in enumerate(files):
+        if number and not as_json:
+            print_line("")
+        documents.append(_info(file, ring, as_json))
+    if as_json:
+        print_json(documents if len(documents) > 1 else documents[0])
+
+
+def _info(file: Path, ring: float | None, as_json: bool) -> dict[str, Any]:
+    """Describe one file as a document; print it, unless a document is wanted."""
     from sugiyama_ros.formats.measured import FORMAT as BAG
     from sugiyama_ros.formats.sheet import head_of
 
@@ -220,26 +236,23 @@ def info(
         from sugiyama_ros.formats.choices import Choices
         from sugiyama_ros.formats.registry import format_of, read_tracks
 
-        document = {"format": format_of(file).name, **document_of(read_tracks(file, Choices(ring_m=ring)))}
-        if as_json:
-            print_json(document)
-            return
-        print_line(f"{'Format:':<13}{document['format']}")
-        _print_tracks(document)
-        return
+        document = {"format": format_of(file).name, **_document_of(read_tracks(file, Choices(ring_m=ring)))}
+        if not as_json:
+            print_line(f"{'Format:':<13}{document['format']}")
+            _print_tracks(document)
+        return document
     from sugiyama_ros.formats.mcap_reader import BagSource
 
     if ring is not None:
         raise InputError("--ring: a bag says itself which road it is about; leave out --ring")
     about = BagSource(file).info()
-    if as_json:
-        print_json(dataclasses.asdict(about))
-        return
-    for key, value in _lines(about):
-        print_line(f"{key + ':':<13}{value}")
-    rows = tuple((t.name, t.type, str(t.count), t.reliability, t.durability) for t in about.topics)
-    headings = ("topic", "type", "messages", "reliability", "durability")
-    print_table(TextTable("", headings, rows, left=len(headings)), boxed=False)
+    if not as_json:
+        for key, value in _lines(about):
+            print_line(f"{key + ':':<13}{value}")
+        rows = tuple((t.name, t.type, str(t.count), t.reliability, t.durability) for t in about.topics)
+        headings = ("topic", "type", "messages", "reliability", "durability")
+        print_table(TextTable("", headings, rows, left=len(headings)), boxed=False)
+    return dataclasses.asdict(about)
 
 
 def _lines(about: "BagInfo") -> list[tuple[str, str]]:
@@ -261,8 +274,11 @@ def _lines(about: "BagInfo") -> list[tuple[str, str]]:
 
 
 def _moment(ns: int) -> str:
-    # stamps of a recording are times of day; stamps of converted data count the seconds from the start
-    return f"{ns / 1e9:.9f} ({datetime.fromtimestamp(ns / 1e9, tz=timezone.utc):%Y-%m-%d %H:%M:%S} UTC)"
+    """A stamp [ns]: a time of day; of data that count the seconds from their start, the seconds."""
+    day = datetime.fromtimestamp(ns / 1e9, tz=timezone.utc)
+    return f"{ns / 1e9:.9f}" + (
+        f" ({day:%Y-%m-%d %H:%M:%S} UTC)" if day.year > _EPOCH else " s from the start of the data"
+    )
 
 
 def echo(
@@ -318,3 +334,107 @@ def recover(
         f" in {saved.path}"
     )
     tell(dataclasses.asdict(saved), text, as_json)
+
+
+if TYPE_CHECKING:
+    from sugiyama_ros.trajectories.labels import Labels
+    from sugiyama_ros.trajectories.tracks import Tracks
+
+# Names that are listed; the others are counted.
+_LISTED = 12
+
+
+def _document_of(tracks: "Tracks") -> dict[str, Any]:
+    """Describe tracks as a document."""
+    import numpy as np
+
+    from sugiyama_ros.trajectories.time_base import is_regular, period_of
+
+    first, last = tracks.time_s[tracks.start[:-1]], tracks.time_s[tracks.start[1:] - 1]
+    moves = bool(np.any(np.diff(tracks.start) > 1))
+    return {
+        "source": tracks.about.source,
+        "sha256": tracks.about.sha256,
+        "licence": tracks.about.licence or None,
+        "rows": len(tracks),
+        "recordings": _counted(tracks, tracks.recording),
+        "vehicles": tracks.runs,
+        "classes": _counted(tracks, tracks.vehicle_class),
+        "roads": _counted(tracks, tracks.road),
+        "lanes": _counted(tracks, tracks.lane),
+        "from_s": float(first.min()),
+        "to_s": float(last.max()),
+        "driven_s": float(np.sum(last - first)),
+        "period_s": period_of(tracks) if moves else None,
+        "regular": is_regular(tracks) if moves else None,
+        "from_m": float(tracks.s_m.min()),
+        "to_m": float(tracks.s_m.max()),
+        "ring_m": tracks.about.ring_m or None,
+        "leaders": {
+            "in_the_table": float(np.mean(tracks.leader_row >= 0)),
+            "free_road": float(np.mean(tracks.leader_row == -1)),
+            "unknown": float(np.mean(tracks.leader_row == -2)),
+        },
+        "columns": list(tracks.columns),
+        "smoothing": tracks.about.smoothing or None,
+        "dropped": dict(tracks.about.dropped),
+        "notes": list(tracks.about.notes),
+    }
+
+
+def _counted(tracks: "Tracks", column: "Labels | None") -> dict[str, int]:
+    """Number of vehicles for each text of a column, by the text; empty for a column that is not there."""
+    import numpy as np
+
+    if column is None:
+        return {}
+    pair = np.unique(np.stack([column.code.astype(np.int64), tracks.run]), axis=1)
+    code, vehicles = np.unique(pair[0], return_counts=True)
+    return {
+        column.text[one] if one >= 0 else "(none)": count
+        for one, count in zip(code.tolist(), vehicles.tolist(), strict=True)
+    }
+
+
+def _lines_of(document: dict[str, Any]) -> list[tuple[str, str]]:
+    """The document as names and values."""
+    leaders = document["leaders"]
+    known = ", ".join(f"{leaders[name]:.1%} {name.replace('_', ' ')}" for name in leaders)
+    irregular = "" if document["regular"] in (True, None) else ", irregular"
+    lines = [
+        ("Source", document["source"] or "not known"),
+        ("Licence", document["licence"] or ""),
+        ("Rows", f"{document['rows']} ({', '.join(document['columns'])})"),
+        ("Recordings", _list(document["recordings"])),
+        ("Vehicles", str(document["vehicles"])),
+        ("Classes", _list(document["classes"])),
+        ("Roads", _list(document["roads"])),
+        ("Lanes", _list(document["lanes"])),
+        ("Time", f"{document['from_s']:.9g} to {document['to_s']:.9g} s"),
+        ("Driven", f"{document['driven_s']:.0f} s by all vehicles together"),
+        (
+            "Period",
+            f"{document['period_s']:.4g} s{irregular}" if document["period_s"] else "one sample of each vehicle",
+        ),
+        ("Positions", f"{document['from_m']:.6g} to {document['to_m']:.6g} m, of the vehicles' centres"),
+        ("Ring", f"{document['ring_m']:g} m" if document["ring_m"] else ""),
+        ("Leaders", known),
+        ("Smoothing", document["smoothing"] or ""),
+        *(("Note", note) for note in document["notes"]),
+    ]
+    return [(name, value) for name, value in lines if value]
+
+
+def _list(counted: dict[str, int]) -> str:
+    """Names with their numbers of vehicles."""
+    if not counted:
+        return ""
+    shown = [f"{name} ({count})" for name, count in list(counted.items())[:_LISTED]]
+    more = f", and {len(counted) - _LISTED} more" * (len(counted) > _LISTED)
+    return f"{len(counted)}: {', '.join(shown)}{more}"
+
+
+def _ledger(document: dict[str, Any]) -> TextTable:
+    """The rows that were left out, and why."""
+    rows = tuple((reason, str(count)) for reason, count in document["dropped"].items())
+    return TextTable("", ("left out", "rows"), rows, left=1)

@@ -106,6 +106,9 @@ def _simulated(hidden: str, seed: int) -> tuple["Trajectories", dict[str, Any]]:
 
 
 def _print(told: dict[str, Any], rmse: list[float], recording: Output, page: Output) -> None:
+    from sugiyama_ros.page.names import addition
+    from sugiyama_ros.page.words import size_of
+
     for line in told["verdict"]["told"]:
         print_line(line)
     errors = told["errors"]
@@ -121,8 +124,7 @@ def _print(told: dict[str, Any], rmse: list[float], recording: Output, page: Out
             rows.append((title, *(f"{end:.2f}" for end in ends)))
     print_table(TextTable("", ("error", "before", "after"), tuple(rows), left=1))
     if truth := told.get("hidden"):
-        values = ", ".join(f"{k} {v:.3g}" for k, v in truth["parameters"].items())
-        print_line(f"the hidden effect: {truth['name']} ({values})")
+        print_line(f"The hidden effect: {addition(told, truth)}: {size_of(told, truth)}")
     print_line(f"all topics: {recording.path} (look at them: sugiyama info {recording.path})")
     print_line(f"report: {page.path} (open it in a browser)")
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import gc
+import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -195,10 +196,11 @@ def print_run(result: "RunResult", as_json: bool) -> None:
         _end(result)
         return
     names = sorted({name for d in result.drivers for name in d.law}, key=ROW.entries.index) or ["v_star", "kappa_v"]
+    called = _called(result.output)
     known = [{"v_star": d.v_star, "kappa_v": d.kappa_v, **d.law} for d in result.drivers]
     rows = tuple(
         (
-            str(d.vehicle),
+            called.get(d.vehicle, str(d.vehicle)),
             *(f"{values[name]:.3g}" if name in values and name in d.identified else _VAGUE for name in names),
             f"{d.one_step_rmse_m:.3f}",
             f"{d.nis_mean:.2f}",
@@ -220,6 +222,15 @@ def print_run(result: "RunResult", as_json: bool) -> None:
     if result.interrupted:
         print_note("The run was interrupted: the recording ends early, but it can be read.")
     _end(result)
+
+
+def _called(bag: Path) -> dict[int, str]:
+    """What tables call the vehicles of a run: the number, and the name in the recording where it is another one."""
+    from sugiyama_ros.formats.mcap_reader import Bag
+
+    with Bag(bag) as opened:
+        names = json.loads(opened.info().metadata.get("sugiyama", {}).get("vehicle_names", "{}"))
+    return {int(number): f"{number} ({name})" for number, name in names.items()}
 
 
 def _mean(result: "RunResult", parameters: int) -> list[tuple[str, ...]]:

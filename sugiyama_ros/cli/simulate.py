@@ -121,7 +121,7 @@ def simulate(options: SimulateOptions) -> None:
         from sugiyama_ros.cli.data import info
 
         ring = simulated.measured.road.circumference_m
-        print_line(f"look at it: {command_line('info', info, file=output, ring=ring)}")
+        print_line(f"look at it: {command_line('info', info, files=[output], ring=ring)}")
     for c in simulated.collisions:
         print_note(f"collision: vehicle {c.vehicle} into {c.leader} at {c.time_s:.1f} s; the run ends there")
 

@@ -1,4 +1,4 @@
-"""Layouts of panels for other programs: Lichtblick and Foxglove (JSON), and PlotJuggler (XML).
+"""Layout of panels for Lichtblick and Foxglove.
 
 In these programs a path begins with the name of one topic, and no pattern may stand for several topics. So a layout
 names the topics of all vehicles of a recording. In Lichtblick and Foxglove, ``/drivers.speed[:]`` stands for all
@@ -8,7 +8,6 @@ drivers of a recording that was made with ``--array``, however many there are.
 import json
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
-from xml.sax.saxutils import quoteattr
 
 from sugiyama_ros.formats.truth import namespaces
 from sugiyama_ros.page.panels.base import COLOURS, GREY
@@ -31,18 +30,15 @@ class _Curve(NamedTuple):
 _POSITION = "Measured positions of all vehicles [m]"
 _SPEED = _Curve("speed", "Filtered speed", "m/s", "state", "speed", "speed")
 _ERROR = _Curve("innovation", "One-step error", "m", "innovation", "innovation_m", "innovation_m")
-_GAP = _Curve("gap", "Gap", "m", "state", "gap_m", "gap_m")
 _ACTION = _Curve("action", "Mean action", "m/s²", "state", "mean_action", "mean_action")
 # the order of these parameters in the message is declared with the driver's parameters
 _V_STAR = _Curve("parameters", "Desired speed v*", "m/s", "parameters", "value[2]")
 _KAPPA_V = _Curve("premium", "Risk premium kappa_v", "s", "parameters", "value[3]")
-_TABS = {"states": (_SPEED, _ERROR, _GAP), "preferences": (_ACTION, _V_STAR, _KAPPA_V)}
 # The camera of the 3D panel, which looks down on the road.
 _CAMERA: dict[str, Any] = {
     "perspective": False, "distance": 120, "phi": 0, "thetaOffset": 0, "target": [0, 0, 0], "targetOffset": [0, 0, 0],
     "targetOrientation": [0, 0, 0, 1], "fovy": 45, "near": 0.5, "far": 5000,
 }  # fmt: skip
-_TOGETHER = "one topic of all drivers (run --array)"
 
 
 def lichtblick(vehicles: Iterable[int]) -> str:
@@ -99,38 +95,3 @@ def _plot(title: str, paths: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 def _split(direction: str, first: Any, second: Any, percent: int = 50) -> dict[str, Any]:
     return {"direction": direction, "first": first, "second": second, "splitPercentage": percent}
-
-
-def plotjuggler(vehicles: Iterable[int]) -> str:
-    """Layout for PlotJuggler."""
-    spaces = namespaces(vehicles)
-    tabs = [
-        _tab(name, {one: [f"{space}/{one.topic}/{one.field}" for space in spaces] for one in curves})
-        for name, curves in _TABS.items()
-    ]
-    arrays = {one: [f"/drivers/{one.together}[{k}]" for k in range(len(spaces))] for one in _TABS["states"]}
-    tabs.append(_tab(_TOGETHER, arrays))
-    return (
-        '<?xml version="1.0" encoding="UTF-8"?>\n<root>\n <tabbed_widget parent="main_window" name="Main Window">\n'
-        + "".join(tabs)
-        + '  <currentTabIndex index="0"/>\n </tabbed_widget>\n</root>\n'
-    )
-
-
-def _tab(name: str, curves: dict[_Curve, list[str]]) -> str:
-    areas = "".join(
-        f"      <DockArea name={quoteattr(f'{one.title} [{one.unit}]')}>\n"
-        '       <plot style="Lines" mode="TimeSeries" flip_x="false" flip_y="false">\n'
-        + "".join(
-            f"        <curve name={quoteattr(path)} color={quoteattr(_COLOURS[k % len(_COLOURS)])}/>\n"
-            for k, path in enumerate(paths)
-        )
-        + "       </plot>\n      </DockArea>\n"
-        for one, paths in curves.items()
-    )
-    sizes = ";".join([f"{1.0 / len(curves):.4f}"] * len(curves))
-    return (
-        f'  <Tab containers="1" tab_name={quoteattr(name)}>\n   <Container>\n'
-        f'    <DockSplitter count="{len(curves)}" orientation="-" sizes="{sizes}">\n{areas}    </DockSplitter>\n'
-        "   </Container>\n  </Tab>\n"
-    )

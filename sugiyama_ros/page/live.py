@@ -41,7 +41,8 @@ from sugiyama_ros.page.panels.base import (
     speed_colours,
     widen,
 )
-from sugiyama_ros.page.style import LIVE, REPAINT
+from sugiyama_ros.page.recording import name_of
+from sugiyama_ros.page.style import CARD, PAGE, REPAINT
 from sugiyama_ros.page.words import WHY, may_be_chance
 from sugiyama_ros.trajectories.desired_speed import known_only
 
@@ -87,9 +88,9 @@ class _Page:
         )  # fmt: skip
         self._values = TextInput(title="strength", width=140, stylesheets=[INPUT])
         self._empty: dict[str, Any] = {}  # pictures that are not shown, because there is nothing to draw yet
-        self._status = Div(text="", stylesheets=[GlobalInlineStyleSheet(css=LIVE)])
-        self._said, self._about = Div(text=""), Div(text="")
-        self._events = Div(text="")
+        self._status = Div(text="", stylesheets=[GlobalInlineStyleSheet(css=PAGE), CARD])
+        self._said, self._about = Div(text="", stylesheets=[CARD]), Div(text="")
+        self._events = Div(text="", stylesheets=[CARD])
         self._plots: dict[str, Any] = {}
         self._drawn = 0
 
@@ -114,7 +115,8 @@ class _Page:
             y_range=DataRange1d(start=0.0),
         )
         self._empty["error"] = error
-        error.line("time", "base", source=self._error, color=GREY, line_width=2, legend_label="base model")
+        wide = {"line_width": 6, "line_alpha": 0.5}  # where both are equal, both are seen
+        error.line("time", "base", source=self._error, color=GREY, legend_label="base model", **wide)
         error.line("time", "error", source=self._error, color=VERMILION, line_width=2, legend_label="the estimators")
         legend_above(error)
         return column(
@@ -357,7 +359,7 @@ class CriticPanel:
     def __init__(self, feed: Feed, new: Callable[[Log], Array]) -> None:
         self._feed, self._new = feed, new
         self._sources: dict[str, ColumnDataSource] = {}
-        self.text = Div(text="")
+        self.text = Div(text="", stylesheets=[CARD])
         self.plot = panel(
             "The critic: gain over the base model", "time [s]", "gain [nats]",
             y_range=DataRange1d(only_visible=True), visible=False,
@@ -438,6 +440,6 @@ def status_line(status: Status, feed: Feed) -> str:
             command = f"sugiyama report {status.recording} --open"
             end = f" Ctrl-C in the terminal closes the recording; <code>{escape(command)}</code> makes a report of it."
     return (
-        f"<b>{escape(status.source or 'live source')}</b>: {status.time_s:.0f}{total} s, {state}{rate};"
+        f"<b>{escape(name_of(status.source) or 'live source')}</b>: {status.time_s:.0f}{total} s, {state}{rate};"
         f" {len(feed.now)} vehicles on the road; ROS domain {escape(status.domain)}.{end}"
     )

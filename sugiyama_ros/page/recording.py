@@ -43,6 +43,11 @@ SIMULATED = "adaptiveSeek"
 _ADAPTED = ("v_star", "v_star_std", "kappa_v", "kappa_v_std")
 
 
+def name_of(source: str) -> str:
+    """Name of a source: the file, or that drivers were simulated."""
+    return "Simulated drivers" if source == SIMULATED else source
+
+
 class StyleChanged(NamedTuple):
     """A driver has changed style at a time [s]: a parameter was multiplied by a factor."""
 
@@ -129,8 +134,7 @@ class Recording(Result):
     @property
     def name(self) -> str:
         """Name of what was recorded: the file, or that drivers were simulated."""
-        source = self.trajectories.source or "recording"
-        return "Simulated drivers" if source == SIMULATED else source
+        return name_of(self.trajectories.source) or "recording"
 
     @property
     def has_estimates(self) -> bool:

@@ -1,7 +1,12 @@
 """The style sheets of the pages: light and dark; the report is 800 to 1920 pixels wide, or on paper."""
 
-# Colours of the text in the pictures: Bokeh reads them from the page.
-_PICTURES = """
+#: Colours and type of both pages; Bokeh reads the colours of the text in the pictures from the page.
+PAGE = """
+:root { color-scheme: light dark; --back: #fff; --text: #1b1b1b; --soft: #f3f4f6; --line: #8884; --note: #5c5c5c;
+  --good: #00704f; --bad: #b34700; --blue: #0072B2; }
+@media (prefers-color-scheme: dark) { :root { --back: #141414; --text: #e4e4e4; --soft: #202124; --note: #a5a5a5;
+  --good: #35c79b; --bad: #ff9149; --blue: #56B4E9; } }
+body { font: 15px/1.45 system-ui, sans-serif; background: var(--back); color: var(--text); }
 :root { --picture: #4d4d4d; --bk-text-color: var(--picture); --bk-title-text-color: var(--picture);
   --bk-axis-label-text-color: var(--picture); --bk-major-label-text-color: var(--picture);
   --bk-label-text-color: var(--picture); }
@@ -15,15 +20,10 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
 """
 #: The style sheet of the report.
 STYLE = (
-    _PICTURES
+    PAGE
     + """
-:root { color-scheme: light dark; --back: #fff; --text: #1b1b1b; --soft: #f3f4f6; --line: #8884; --note: #5c5c5c;
-  --good: #00704f; --bad: #b34700; --blue: #0072B2; }
-@media (prefers-color-scheme: dark) { :root { --back: #141414; --text: #e4e4e4; --soft: #202124; --note: #a5a5a5;
-  --good: #35c79b; --bad: #ff9149; --blue: #56B4E9; } }
 * { box-sizing: border-box; }
-body { font: 15px/1.45 system-ui, sans-serif; margin: 0 auto; max-width: 1840px; padding: .8rem 1rem 3rem;
-  background: var(--back); color: var(--text); }
+body { margin: 0 auto; max-width: 1840px; padding: .8rem 1rem 3rem; }
 h1 { font-size: 1.25rem; margin: 0 0 .2rem; overflow-wrap: anywhere; }
 h2 { font-size: 1.2rem; margin: 1.6rem 0 .3rem; }
 h3 { font-size: .95rem; margin: .6rem 0 .2rem; } p { margin: .25rem 0; }
@@ -76,12 +76,8 @@ section td:first-child, section th:first-child, section .left td, section .left 
   h2 { break-after: avoid; } }
 """
 )
-#: The style sheet of the live page: light and dark.
-LIVE = (
-    _PICTURES
-    + """
-:root { color-scheme: light dark; }
-body { font: 14px/1.4 system-ui, sans-serif; background: #fff; color: #1b1b1b; }
-@media (prefers-color-scheme: dark) { body { background: #141414; color: #e4e4e4; } }
+#: The style sheet of a card of the live page.
+CARD = """
+:host { box-sizing: border-box; width: 100%; background: var(--soft); border-radius: 8px; padding: .5rem 1rem;
+  margin: .3rem 0; }
 """
-)

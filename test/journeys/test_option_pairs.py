@@ -75,7 +75,7 @@ VALUES: Mapping[str, Sequence[str]] = {
     "report --figures": ("new_figures",),
     "--diagnosis": ("diagnosis.json",),
     "view SOURCE": ("run.mcap",),
-    "view --save": ("new.json", "new.xml", *(["new.rrd"] if find_spec("rerun") else []), "old.json"),
+    "view --save": ("new.json", *(["new.rrd"] if find_spec("rerun") else []), "old.json"),
     "live --host": ("127.0.0.1", "localhost"),
     "live --port": ("PORT",),
     "convert SOURCE": ("rich.csv", "ring.csv", "ring.mcap", "own.csv", "bag"),
@@ -99,7 +99,7 @@ VALUES: Mapping[str, Sequence[str]] = {
     "fetch --directory": (".", "state"),
     "fetch --url": ("URL",),
     "FILE": ("run.mcap", "ring.mcap"),
-    "info FILE": ("run.mcap", "ring.csv", "tracks.parquet"),
+    "info FILES": ("run.mcap", "ring.csv", "tracks.parquet", "ring.csv tracks.parquet"),
     "echo TOPIC": ("/measured", "/road"),
     "recover FILE": ("cut.mcap", "run.mcap"),
 }

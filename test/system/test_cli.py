@@ -252,7 +252,7 @@ def test_help_keeps_units_in_square_brackets(sugiyama):
 def test_effects_and_laws_are_listed_with_units(sugiyama):
     code, out, err = sugiyama("effects")
     assert (code, err) == (0, "")
-    assert "slow_patch: slower stretch of road" in out
+    assert "slower stretch of road (slow_patch)" in out
     assert "    delay [s]: reaction time; 0 to 2" in out
     assert all(len(line) < 200 for line in out.splitlines())
     (idm,) = json.loads(sugiyama("laws", "idm", "--json")[1])

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parents[2] / "sugiyama_ros"
-#: The rooms (folders and single files), as in README. Each room may import the rooms above it, and errors.
+#: The rooms (folders and single files), as in CONTRIBUTING.md. Each room may import the rooms above it, and errors.
 ORDER = (
     "arrays",
     "inputs",
@@ -45,7 +45,7 @@ ORDER = (
     "cli",
     "compile",
 )
-#: Single files that README does not have to name.
+#: Single files that CONTRIBUTING.md does not have to name.
 SMALL = {"entry_points", "inputs", "interrupts", "progress", "plugins", "picture", "results", "plots", "tables"}
 #: Rooms that may import only these rooms, whatever the order allows.
 ALONE = {
@@ -112,9 +112,9 @@ def test_only_nodes_import_ros(path: Path) -> None:
     assert not {name.split(".")[0] for name in imported(path)} & ROS
 
 
-def test_readme_names_every_room() -> None:
-    readme = (PACKAGE.parent / "README.md").read_text()
-    section = readme.split("## Architecture")[1].split("## ")[0]
+def test_the_architecture_section_names_every_room() -> None:
+    page = (PACKAGE.parent / "CONTRIBUTING.md").read_text()
+    section = page.split("## Architecture")[1].split("## ")[0]
     assert all(name in section for name in ORDER if name not in SMALL)
 
 
