@@ -81,12 +81,7 @@ def convert(options: ConvertOptions) -> None:
     from sugiyama_ros.formats.convert import convert_tracks
 
     tracks = convert_tracks(options.source, _output(options), part)
-    document = {"output": str(options.output), **_document_of(tracks)}
-    if options.as_json:
-        print_json(document)
-        return
-    print_line(f"{tracks.runs} vehicles, {len(tracks)} rows, in {options.output}")
-    _print_tracks(document)
+    _tell_tracks(tracks, options)
 
 
 def _convert_seen(options: ConvertOptions) -> None:
@@ -108,6 +103,11 @@ def _convert_seen(options: ConvertOptions) -> None:
     bridge = read_bridge(options.bridge) if options.bridge is not None else None
     tracks = tracks_of_bag(options.source, options.odometry, read_lanes(options.centre_line), settings, bridge)
     write_tracks(tracks, output)
+    _tell_tracks(tracks, options)
+
+
+def _tell_tracks(tracks: "Tracks", options: ConvertOptions) -> None:
+    """Say what was written."""
     document = {"output": str(options.output), **_document_of(tracks)}
     if options.as_json:
         print_json(document)

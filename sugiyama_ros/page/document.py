@@ -336,15 +336,7 @@ def _rows(position_m: Array) -> list[list[float | None]]:
 
 
 def about() -> dict[str, Any]:
-    """Explain every name that the document mentions: effects, constants and laws.
-
-    Returns
-    -------
-    dict
-        For each name: ``kind`` (effect, constants or law), ``title``, ``summary``, and for each of the ``parameters``
-        its unit, its meaning, and whether it is a ``place`` or a ``time``. An effect also has ``is_limit``: a smaller
-        value of its first parameter is a stronger effect; and its ``term`` in the equation of the model.
-    """
+    """Explain every name that the document mentions: its kind, title and summary, and what its parameters mean."""
     declared: dict[str, Any] = {p.name: p for p in ROW.declared}
     found = {
         c.name: _explained(c.title, c.summary, [declared[name] for name in c.parameters], "constants")
@@ -371,22 +363,7 @@ def _explained(title: str, summary: str, parameters: Sequence[Parameter], kind: 
 
 
 def comparison_document(c: Comparison) -> dict[str, Any]:
-    """Return all results of a comparison in plain types, in SI units.
-
-    Parameters
-    ----------
-    c : Comparison
-        The comparison.
-
-    Returns
-    -------
-    dict
-        ``models``, the base model first: ``name``, ``kind``, errors as of ``table.errors``, ``gains`` over the base
-        model by column (``nats`` and ``se``), ``heldout_gain_nats`` and ``heldout_gain_se`` over all columns,
-        ``behind``: how far the model is behind the best one, ``collective`` with means and standard deviations,
-        and ``drivers``. ``measured`` and ``wave_speed_se``: the traffic on the recorded road.
-        ``decision_period_s``, ``drivers_left_out`` and ``seed``.
-    """
+    """Return all results of a comparison in plain types, in SI units; the base model comes first."""
     held_out = [one for one in c.models if one.kind not in ("in_sample", "simulated")]
     best = max(held_out, key=lambda one: one.gain["all"].nats)
     return {

@@ -6,6 +6,7 @@ PAGE = """
   --good: #00704f; --bad: #b34700; --blue: #0072B2; }
 @media (prefers-color-scheme: dark) { :root { --back: #141414; --text: #e4e4e4; --soft: #202124; --note: #a5a5a5;
   --good: #35c79b; --bad: #ff9149; --blue: #56B4E9; } }
+:root { --bokeh-base-font: system-ui, sans-serif; --bokeh-font-size: 15px; }
 body { font: 15px/1.45 system-ui, sans-serif; background: var(--back); color: var(--text); }
 :root { --picture: #4d4d4d; --bk-text-color: var(--picture); --bk-title-text-color: var(--picture);
   --bk-axis-label-text-color: var(--picture); --bk-major-label-text-color: var(--picture);
