@@ -67,8 +67,6 @@ def _say_unless_half_made(error: "sys.UnraisableHookArgs") -> None:
 
 def _cause_outside(error: Exception) -> str | None:
     """What the user reads where the system refused something; None for an error of the program itself."""
-    from sugiyama_ros.cli.app import limit_bytes
-
     if isinstance(error, OSError) and error.errno is not None:
         where = error.filename if error.filename is not None else "the output"
         return f"{where}: {error.strerror or error}; free some space, or choose another place"
@@ -87,6 +85,14 @@ def _cause_outside(error: Exception) -> str | None:
     # Without memory, libraries fail in ways of their own.
     said = (str(error).splitlines() or [""])[0]
     return f"ulimit -v: {limit >> 20} MB of memory may be too little ({type(error).__name__}: {said}); allow more"
+
+
+def limit_bytes() -> int | None:
+    """Address space that the program may take; None without a limit."""
+    import resource
+
+    soft = resource.getrlimit(resource.RLIMIT_AS)[0]
+    return None if soft == resource.RLIM_INFINITY else soft
 
 
 def _effects_of_others() -> list[str]:

@@ -9,7 +9,7 @@ import typer
 from typer.core import TyperCommand
 
 from sugiyama_ros import inputs, progress
-from sugiyama_ros.cli import calibrate, catalogue, data, demo, diagnose, report, run, simulate, study
+from sugiyama_ros.cli import calibrate, catalogue, data, demo, diagnose, limit_bytes, report, run, simulate, study
 from sugiyama_ros.errors import InputError
 
 # Names of arguments and options whose files are written; all other files that a command is given are inputs.
@@ -76,14 +76,6 @@ def sugiyama(
 _LEAST = 1 << 30
 # Parameter of mallopt in glibc: the largest number of heaps.
 _HEAPS = -8
-
-
-def limit_bytes() -> int | None:
-    """Address space that the program may take; None without a limit."""
-    import resource
-
-    soft = resource.getrlimit(resource.RLIMIT_AS)[0]
-    return None if soft == resource.RLIM_INFINITY else soft
 
 
 def check_limit() -> None:

@@ -14,7 +14,6 @@ from pathlib import Path
 import pytest
 
 from sugiyama_ros import cli
-from sugiyama_ros.cli import app
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.nodes.base import environment
 
@@ -262,7 +261,7 @@ def test_an_error_under_a_limit_of_memory_is_one_line(here):
 @pytest.mark.parametrize("error", [ImportError("failed to map segment"), OSError("no library"), RuntimeError("thread")])
 def test_errors_of_libraries_are_those_of_the_memory_only_under_a_limit(monkeypatch, error):
     assert cli._cause_outside(error) is None
-    monkeypatch.setattr(app, "limit_bytes", lambda: 2 << 30)
+    monkeypatch.setattr(cli, "limit_bytes", lambda: 2 << 30)
     said = cli._cause_outside(error)
     assert "2048 MB" in said
     assert str(error) in said
