@@ -286,7 +286,7 @@ def test_help_loads_nothing_heavy():
 
 #: Values of options that are refused; options that contradict each other are in test/journeys/test_option_pairs.py.
 REFUSED = [
-    (("--formulation", "exact"), ("--formulation exact", "paper", "causal")),
+    (("--formulation", "exact"), ("--formulation: 'exact'", "paper", "causal")),
     (("--output", "model.txt"), ("model.txt", ".yaml")),
     (("--parameters", "speed"), ("speed", "v_star")),
 ]
