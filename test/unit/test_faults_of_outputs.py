@@ -176,7 +176,7 @@ PLACES = {
     "trajectories/tracks.py": "result.parquet",
     "cli/diagnose.py": "pieces",
     "cli/study.py": "pieces",
-    "cli/view.py": "pieces",
+    "cli/report.py": "pieces",
 }
 
 
