@@ -399,8 +399,8 @@ def _round(bench: _Bench, current: Entry, found: _Scored) -> Round:
     """Fit the candidates with the best scores beside a model, and choose."""
     open_ = [s.candidate for s in found.best if found.chance.p_values[s.candidate.mechanism] < ALPHA]
     acting = [c for c in open_ if c.rank == 0][:_FITTED]
-    # the score of constants says little: they respond to whatever is missing, far from where they start
-    worth = [c for c in open_ if c in acting or c in open_[:_FITTED] or c.kind == "constants"]
+    # the score of freed constants says little: they respond to whatever is missing, far from where they start
+    worth = [c for c in open_ if c in acting or c in open_[:_FITTED] or (c.kind == "constants" and not c.switches)]
     won: dict[Entry, dict[str, Difference]] = {}
     for number, candidate in enumerate(worth):
         bench.on_progress(f"round {len(current.added) + 1}: fitting", number, len(worth))
