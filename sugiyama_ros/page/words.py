@@ -153,7 +153,8 @@ def equation(d: Document) -> str:
             rules.append(f"[{term or _unwritten(n)}]")
         units = {name: str(one.get("unit", "")) for name, one in about.get("parameters", {}).items()}
         shown = known if not n.get("covariate") else {}
-        values += [f"{k} = {quantity(float(v), units.get(k, ''), stds.get(k))}" for k, v in shown.items()]
+        of = f"{form_of(n)}." if len(d["verdict"]["effects"]) > 1 else ""
+        values += [f"{of}{k} = {quantity(float(v), units.get(k, ''), stds.get(k))}" for k, v in shown.items()]
     law = str(d.get("law") or PAPERS)
     base = _BASE if law == PAPERS else f"a = {model_name(law)}(gap, v, v_lead)"
     added = "; ".join([f"{base}{sums}", *rules])
