@@ -143,6 +143,7 @@ def closest(d: Document, n: Document) -> str:
 def equation(d: Document) -> str:
     """The model as an equation, with what is new in brackets, and the values; empty if nothing was added."""
     sums, rules, values = "", [], []
+    every = [k for n in d["verdict"]["effects"] for k in n.get("parameters", {})]
     for n in d["verdict"]["effects"]:
         about = d.get("about", {}).get(form_of(n), {})
         known, stds = n.get("parameters", {}), n.get("parameters_std", {})
@@ -153,8 +154,10 @@ def equation(d: Document) -> str:
             rules.append(f"[{term or _unwritten(n)}]")
         units = {name: str(one.get("unit", "")) for name, one in about.get("parameters", {}).items()}
         shown = known if not n.get("covariate") else {}
-        of = f"{form_of(n)}." if len(d["verdict"]["effects"]) > 1 else ""
-        values += [f"{of}{k} = {quantity(float(v), units.get(k, ''), stds.get(k))}" for k, v in shown.items()]
+        values += [
+            f"{k if every.count(k) == 1 else f'{form_of(n)}.{k}'} = {quantity(float(v), units.get(k, ''), stds.get(k))}"
+            for k, v in shown.items()
+        ]
     law = str(d.get("law") or PAPERS)
     base = _BASE if law == PAPERS else f"a = {model_name(law)}(gap, v, v_lead)"
     added = "; ".join([f"{base}{sums}", *rules])
