@@ -64,6 +64,7 @@ VALUES: Mapping[str, Sequence[str]] = {
     "diagnose --output": ("new.yaml", "old.yaml"),
     "diagnose --save": ("new.json", "old.json"),
     "--law": ("idm",),
+    "simulate --law": ("gipps",),
     "study NAME": ("", "spectrum", "highway", "measured", "simulated", "order"),
     "study SOURCE": ("ring.mcap", "ring.csv"),
     "study --runs": ("1",),
