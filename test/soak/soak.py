@@ -34,7 +34,7 @@ from sugiyama_ros.errors import SugiyamaError
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.recover import recover
 from sugiyama_ros.nodes.base import environment
-from sugiyama_ros.nodes.base.qos import LIVE, STREAM, reliable
+from sugiyama_ros.nodes.base.qos import STREAM, reliable
 from sugiyama_ros.nodes.base.spin import RUNNER, Spinner, ros
 
 NODES = ("replay", "drivers", "critic", "recorder")
@@ -70,11 +70,11 @@ class Listener(Node):
         super().__init__("listener")
         self.samples: list[tuple[int, bytes]] = []
         self.answers: list[tuple[int, bytes]] = []
-        for kind, topic, heard, durability in (
-            (MeasuredPositions, "/measured", self.samples, STREAM.durability),
-            (DriverArray, "/drivers", self.answers, LIVE.durability),
+        for kind, topic, heard in (
+            (MeasuredPositions, "/measured", self.samples),
+            (DriverArray, "/drivers", self.answers),
         ):
-            self.create_subscription(kind, topic, partial(_hear, heard), reliable(5000, durability), raw=True)
+            self.create_subscription(kind, topic, partial(_hear, heard), reliable(5000, STREAM.durability), raw=True)
 
 
 def _hear(heard: list[tuple[int, bytes]], raw: bytes) -> None:
