@@ -369,7 +369,7 @@ def diagnose(
     >>> simulated = sg.simulate(vehicles=4, ring_m=45.0, duration_s=60.0, seed=1)
     >>> found = sg.diagnose(simulated)
     >>> print(found.summary().splitlines()[0])
-    The model is adequate: nothing in these data speaks against it.
+    The model is adequate: no check fails.
     """
     _check_within("simulations", simulations, 1, math.inf)
     names = () if add in (None, "auto") else (add,) if isinstance(add, str) else tuple(add or ())

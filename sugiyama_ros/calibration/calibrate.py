@@ -120,8 +120,9 @@ def pooled(trajectories: Trajectories, settings: Settings, work: Executor) -> Ca
     if settings.law != PAPERS:
         settings = replace(settings, estimated=names)
     prior = np.array(fitted.model.prior_std)
-    # a parameter is identified if the data hold more than three times the prior's information
-    known = [np.diag(s.information.sum(axis=0))[: len(names)] > 3.0 / np.square(prior) for s in fitted.slopes]
+    # a parameter is identified if its standard deviation, beside all others, is less than half of the prior's
+    own_information = (s.information.sum(axis=0)[: len(names), : len(names)] for s in fitted.slopes)
+    known = [np.diag(np.linalg.inv(one + np.diag(prior**-2.0))) < 0.25 * prior**2 for one in own_information]
     stds = np.array([[s.get(name, 0.0) for name in ROW.entries] for s in own])
     return Calibration(
         settings=settings,

@@ -71,7 +71,9 @@ class Settings:
             if is_given and is_paper:
                 raise InputError(f"{option(name)}: the paper's formulation knows none; use the causal formulation")
         if self.law != PAPERS and self.estimated:
-            raise InputError(f"{option('parameters')}: all parameters of a law are estimated; leave it out")
+            raise InputError(
+                f"{option('parameters')}: with a law, its parameters, sigma_nu and sigma_a are estimated; leave it out"
+            )
         others = f"{effects}, {option('law')}, {regularise}"
         if self.is_pooled and self.profiled:
             raise InputError(f"{profile}: is for drivers calibrated one by one; leave out {others}")

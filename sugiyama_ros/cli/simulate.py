@@ -208,6 +208,8 @@ def _rows(options: SimulateOptions, vehicles: int) -> "Array":
 
     rows = ROW.with_effects(defaults(vehicles))
     if options.model is not None:
+        if options.law != PAPERS:
+            raise InputError(f"--law: the model file {options.model} says it; leave out --law or --model")
         rows = read_model(options.model).rows_of(np.arange(vehicles))
     if options.law != PAPERS:
         drivers = law(options.law).parameters

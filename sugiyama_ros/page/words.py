@@ -257,8 +257,8 @@ def headline(d: Document) -> str:
     effects, words = d["verdict"]["effects"], badge(d)[1]
     if not effects:
         if d["verdict"].get("outcome") == "adequate":
-            return f"{words}: nothing in these data speaks against it."
-        return f"{words}: the model fails{_but_holds(d)}, and nothing that was tried explains it."
+            return f"{words}: no check fails."
+        return f"{words}: the model fails{_but_holds(d)}, and no effect that was tried explains it."
     asked = [n for n in effects if not is_supported(n)]
     if len(asked) == len(effects):
         end = f" The model fails{_but_holds(d)}: something else is missing." if failed(d) else ""
@@ -272,9 +272,7 @@ def headline(d: Document) -> str:
     if not failed(d):
         found = "it" if len(physical) == 1 else "them"
         tried = " Other effects were not fitted." if d["verdict"].get("asked") else ""
-        return (
-            f"{words}: {_of(d, physical)}. With {found}, nothing in these data speaks against the model.{tried}{more}"
-        )
+        return f"{words}: {_of(d, physical)}. With {found}, no check fails.{tried}{more}"
     return f"{words}: {_of(d, physical)} and more is missing.{more}{_still_fails(d)}"
 
 
@@ -288,7 +286,7 @@ def _without_physics(d: Document, effects: Sequence[Document]) -> str:
     says = {
         "force": "a force helps that has no name",
         "constants": "these drivers do not have the paper's constants",
-        "noise": "these drivers do not have the paper's noises",
+        "noise": "these drivers do not have the model's noises",
     }
     mine = {kind: [n for n in effects if n["kind"] == kind] for kind in says}
     parts = [f"{words}: {_of(d, mine[kind])}" for kind, words in says.items() if mine[kind]]
@@ -400,11 +398,11 @@ def _use(d: Document) -> str:
 
 
 def _best_predictor(d: Document) -> str:
-    """Which law to use where prediction counts, if another law forecasts better than the final model."""
+    """Which law to use where prediction counts, if another law forecasts clearly better than the final model."""
     shown = models(d)
     won = {name: float(one["gains"]["all"]["nats"]) for name, one in shown.items() if one.get("gains")}
     best = max(won, key=lambda name: won[name], default="before")
-    if best in MODELS:
+    if best in MODELS or f"gain_of_{best}" not in {one["name"] for one in failed(d)}:
         return ""
     return f" {model_name(best)} forecasts these data better; use it where only prediction counts."
 

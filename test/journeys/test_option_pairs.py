@@ -132,6 +132,7 @@ CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
         ("no SOURCE", "--ring", "--simulate", "no --vehicles"),
     ],
     "simulate": [
+        ("--law", "--model"),
         ("--output old.mcap", "no --overwrite"),
         ("--output old.mcap", "--lanes"),
         ("--output new.mcap", "--lanes"),

@@ -34,7 +34,7 @@ CONSTANTS = addition(
 
 def test_an_adequate_model_is_praised_no_further_than_the_data_go() -> None:
     d = document()
-    assert sentences(d)[0] == "The model is adequate: nothing in these data speaks against it."
+    assert sentences(d)[0] == "The model is adequate: no check fails."
     assert badge(d)[0] == "✓"
     told = "\n".join(sentences(d))
     assert "Effects of this strength would usually have shown: reaction delay (delay: 0.05 or more)." in told
@@ -49,7 +49,9 @@ def test_an_effect_that_explains_has_its_name_its_size_and_its_doubts() -> None:
     patch = addition(indistinguishable=["road_grade"], advice=["survey the road"], columns={"at_1s": (-2.0, 6.0)})
     d = document("explained", [patch])
     first, fall, line, *rest = sentences(d)
-    assert first.startswith("What was missing is explained: slower stretch of road (slow_patch). With it, nothing in")
+    assert first.startswith(
+        "What was missing is explained: slower stretch of road (slow_patch). With it, no check fails."
+    )
     assert fall == "The error after 10 s falls, 3.00 m -> 1.50 m; physical effects bring all of it."
     assert line == (
         "slower stretch of road (slow_patch): share taken off the desired speed: 0.20 ± 0.01; middle: 5 m; length:"
@@ -152,7 +154,7 @@ def test_failed_checks_are_told_the_strongest_first_and_lead_to_what_to_do() -> 
 
 def test_nothing_that_explains_a_model_that_fails() -> None:
     d = document("not_explained", checks=[fails("correlation_of_innovations", 0.2, 0.0)])
-    assert headline(d) == "Not explained: the model fails 1 of 3 checks, and nothing that was tried explains it."
+    assert headline(d) == "Not explained: the model fails 1 of 3 checks, and no effect that was tried explains it."
     assert badge(d)[0] == "✗"
 
 
