@@ -173,6 +173,8 @@ class Plan:
         Output(output, settings.overwrite, inputs).check()
         engine_of(settings.engine)
         law(settings.law)
+        if settings.law != PAPERS and settings.engine != ENGINES[0]:
+            raise InputError(f"--engine {settings.engine}: learns no parameters of a law; leave out --engine or --law")
         if settings.model is not None:
             read_model(settings.model)
             if settings.law != PAPERS:

@@ -124,6 +124,7 @@ CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
         ("--output old.mcap", "no --overwrite"),
         ("ring.csv", "no --ring"),
         ("--array", "--processes"),
+        ("--law", "--engine filterpy"),
         ("--law", "--model"),
         ("--save-state state", "no --overwrite"),
         ("no SOURCE", "no --simulate"),
