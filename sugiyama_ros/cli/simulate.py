@@ -202,18 +202,14 @@ def _rows(options: SimulateOptions, vehicles: int) -> "Array":
     from sugiyama_ros.driver.parameters import defaults
     from sugiyama_ros.effects.registry import ROW
     from sugiyama_ros.effects.texts import read_effect, read_parameter
-    from sugiyama_ros.fit.model_file import drive_by, read_model
-    from sugiyama_ros.laws.registry import law
+    from sugiyama_ros.fit.model_file import drive_by, drivers_of
     from sugiyama_ros.simulation.experiment import changed
 
     rows = ROW.with_effects(defaults(vehicles))
     if options.model is not None:
-        if options.law != PAPERS:
-            raise InputError(f"--law: the model file {options.model} says it; leave out --law or --model")
-        rows = read_model(options.model).rows_of(np.arange(vehicles))
-    if options.law != PAPERS:
-        drivers = law(options.law).parameters
-        rows = np.array([drive_by(row, options.law, {p.name: p.default for p in drivers}) for row in rows])
+        rows = drivers_of(options.model, options.law, "--{}".format).rows_of(np.arange(vehicles))
+    elif options.law != PAPERS:
+        rows = np.array([drive_by(row, options.law) for row in rows])
     for text in options.parameter or ():
         rows = changed(rows, dict([read_parameter(text, "--set")]), {})
     for text in options.effect or ():

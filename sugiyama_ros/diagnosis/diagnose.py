@@ -522,12 +522,11 @@ def _left(rounds: Sequence[Round], data: Recorded, final: Entry, rivals: Sequenc
         left.append(
             Check(f"left_for_{best.candidate.name}", best.gain, 0.0, "nats", p_values[best.candidate.mechanism])
         )
-    for one in rounds:
+    for added, entries in ((one.added, one.entries) for one in rounds if one.added is not None):
         # the best other form of what was added: unseen data may prefer it
-        new = one.added.added[-1] if one.added is not None else None
-        forms = [e for e in one.entries if new and e.added[-1].mechanism == new.mechanism and e.added[-1] is not new]
-        found = [_gain_of(e, one.added, data) for e in forms if one.added is not None]
-        left += sorted(found, key=lambda check: check.value)[-1:]
+        new = added.added[-1]
+        forms = [e for e in entries if e.added[-1].mechanism == new.mechanism and e.added[-1] is not new]
+        left += sorted((_gain_of(e, added, data) for e in forms), key=lambda check: check.value)[-1:]
     return left + [_gain_of(one, final, data) for one in rivals]
 
 

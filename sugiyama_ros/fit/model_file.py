@@ -2,7 +2,7 @@
 data.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -63,14 +63,22 @@ class ModelFile:
         return np.array([self.rows[known[int(v)]] if int(v) in known else typical for v in vehicles])
 
 
-def typical_driver(law_name: str) -> ModelFile:
-    """Return what a model file would hold for a typical driver of a law, who stands for every vehicle.
+def drivers_of(file: Path | None, law_name: str, option: Callable[[str], str] = str) -> ModelFile:
+    """Return a model file, or without one a typical driver of a law, who stands for every vehicle.
 
-    Raises InputError.
+    option: writes the name of an option for the user. Raises InputError, also for a file and another law at once.
     """
-    declared = () if law_name == PAPERS else law(law_name).parameters
-    row = drive_by(ROW.with_effects(population()), law_name, {p.name: p.default for p in declared})
-    return ModelFile(np.array([-1]), row[None], (), "", "")
+    law(law_name)
+    if file is None:
+        row = drive_by(ROW.with_effects(population()), law_name)
+        return ModelFile(np.array([-1]), row[None], (), "", "")
+    found = read_model(file)
+    if law_name != PAPERS:
+        one, other = option("law"), option("model")
+        raise InputError(
+            f"{one}: the model file {file} says by which law its drivers drive; leave out {one} or {other}"
+        )
+    return found
 
 
 def write_model(target: Target, data: Recorded, fitted: JointFit, cautions: Sequence[str] = ()) -> None:
@@ -136,12 +144,16 @@ def _law(row: Array) -> dict[str, Any]:
     return {"law": {name: {p.name: v for p, v in zip(LAWS[name].parameters, values, strict=True)}}}
 
 
-def drive_by(row: Array, name: str, values: Mapping[str, float]) -> Array:
-    """Return the row (WIDTH,) of a driver who drives by a law. Raises InputError."""
+def drive_by(row: Array, name: str, values: Mapping[str, float] | None = None) -> Array:
+    """Return the row (WIDTH,) of a driver who drives by a law, with its usual values if none are given.
+
+    Raises InputError.
+    """
     declared, found = law(name).parameters, row.copy()
     found[ROW.law] = number_of(name)
     if name == PAPERS:
         return found
+    values = {p.name: p.default for p in declared} if values is None else values
     if set(values) != {p.name for p in declared}:
         raise InputError(f"law {name}: give {', '.join(p.name for p in declared)}")
     for place, p in zip(range(ROW.width)[ROW.law_places[name]], declared, strict=True):

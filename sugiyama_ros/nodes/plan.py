@@ -10,9 +10,9 @@ from rclpy.parameter import Parameter
 
 from sugiyama_ros.driver.parameters import NAMES, population
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.fit.model_file import read_model
+from sugiyama_ros.fit.model_file import drivers_of
 from sugiyama_ros.formats.truth import namespaces
-from sugiyama_ros.laws.registry import PAPERS, law
+from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.nodes.base.feed import DRIVERS_TOPIC
 from sugiyama_ros.nodes.base.parameters import ENGINES, engine_of
 from sugiyama_ros.nodes.keeper import file_of, read_learnt
@@ -172,13 +172,9 @@ class Plan:
         _check_names(*inputs, output, settings.save_state, settings.resume)
         Output(output, settings.overwrite, inputs).check()
         engine_of(settings.engine)
-        law(settings.law)
+        drivers_of(settings.model, settings.law, "--{}".format)
         if settings.law != PAPERS and settings.engine != ENGINES[0]:
             raise InputError(f"--engine {settings.engine}: learns no parameters of a law; leave out --engine or --law")
-        if settings.model is not None:
-            read_model(settings.model)
-            if settings.law != PAPERS:
-                raise InputError(f"--law: the model file {settings.model} says it; leave out --law or --model")
         if settings.save_state is not None:
             make_directory(settings.save_state)
         opened = from_file(source, settings.ring_m) if isinstance(source, Path) else source.source

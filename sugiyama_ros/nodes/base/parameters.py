@@ -14,7 +14,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN, Adaptation
 from sugiyama_ros.filters.effect_filter import OF_LAW, STRENGTHS, EffectFilter, check_names
 from sugiyama_ros.filters.online import ADAPT, OnlineFilter
-from sugiyama_ros.fit.model_file import ModelFile, read_model, typical_driver
+from sugiyama_ros.fit.model_file import ModelFile, drivers_of
 from sugiyama_ros.laws.registry import ADAPTIVE_SEEK, PAPERS
 from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.road import Road
@@ -62,11 +62,7 @@ def declare_model(node: PacedNode) -> ModelFile:
     """
     file = node.path("model", "model file (YAML) with drivers and effects")
     law = str(node.option("law", PAPERS, "law by which the drivers drive, without a model file"))
-    if file is None:
-        return typical_driver(law)
-    if law != PAPERS:
-        raise InputError(f"law: the model file {file} says by which law its drivers drive; leave out law or model")
-    return read_model(file)
+    return drivers_of(file, law)
 
 
 @dataclass(frozen=True)
