@@ -59,7 +59,6 @@ setup(
         "notebook": ["matplotlib>=3.8", "pandas>=2.2"],
         "pictures": ["matplotlib>=3.8"],
         "sumo": ["eclipse-sumo>=1.20"],  # for a test only
-        "view": ["rerun-sdk>=0.41"],
     },
     zip_safe=False,
     entry_points={

@@ -41,7 +41,6 @@ for command in (
     catalogue.effects,
     catalogue.laws,
     report.report,
-    report.view,
     run.live,
     data.convert,
     data.fetch,

@@ -1,18 +1,17 @@
-"""``sugiyama report`` and ``sugiyama view``."""
+"""``sugiyama report``."""
 
 import dataclasses
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from sugiyama_ros.cli.options import Json, Overwrite, need_matplotlib
-from sugiyama_ros.cli.output import print_against, print_line, print_note, show_page, tell
+from sugiyama_ros.cli.output import print_against, print_note, show_page, tell
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.outputs import Output, make_directory, writing
+from sugiyama_ros.outputs import Output, make_directory
 
 if TYPE_CHECKING:
     from sugiyama_ros.page.recording import Recording
@@ -52,10 +51,10 @@ def report(
         need_matplotlib("--figures")
         make_directory(figures)
     found, recording = read_diagnosis(diagnosis) if diagnosis is not None else None, read_recording(source)
-    check_data(found, diagnosis, recording, source)
+    _check_data(found, diagnosis, recording, source)
     against = against_truth(source, recording)
     written: list[Path] = []
-    with showing(diagnosis):
+    with _showing(diagnosis):
         if figures is not None:
             # the figures first: what refuses them leaves no page behind
             from sugiyama_ros.page.figures import write_figures
@@ -73,7 +72,7 @@ def report(
         show_page(str(page))
 
 
-def check_data(found: Mapping[str, Any] | None, diagnosis: Path | None, recording: "Recording", source: Path) -> None:
+def _check_data(found: Mapping[str, Any] | None, diagnosis: Path | None, recording: "Recording", source: Path) -> None:
     """Check that a diagnosis is of the recording; print a note where it does not say. Raises InputError."""
     from sugiyama_ros.page.diagnosis import check_same
 
@@ -84,7 +83,7 @@ def check_data(found: Mapping[str, Any] | None, diagnosis: Path | None, recordin
 
 
 @contextmanager
-def showing(diagnosis: Path | None) -> Iterator[None]:
+def _showing(diagnosis: Path | None) -> Iterator[None]:
     """Name the diagnosis where what it says cannot be drawn: its checked fields are not all that the page shows."""
     import numpy as np
 
@@ -97,79 +96,3 @@ def showing(diagnosis: Path | None) -> Iterator[None]:
         raise InputError(
             f"{diagnosis}: cannot be shown: {error!r}; give what `sugiyama diagnose --save` wrote for the same data"
         ) from error
-
-
-_RERUN = ".rrd"
-
-
-def view(
-    source: Annotated[Path, typer.Argument(help="MCAP file that `sugiyama run` recorded.")],
-    diagnosis: Annotated[
-        Path | None,
-        typer.Option("--diagnosis", help="Document that `sugiyama diagnose --save` wrote for the same data."),
-    ] = None,
-    save: Annotated[
-        Path | None,
-        typer.Option(
-            "--save",
-            help=f"File to write instead of opening the viewer: a recording of Rerun ({_RERUN}), or a layout with all"
-            " vehicles for Lichtblick and Foxglove (.json).",
-        ),
-    ] = None,
-    overwrite: Overwrite = False,
-) -> None:
-    """Show a recorded run in the Rerun viewer.
-
-    The viewer shows the road from above, positions, speeds, what was learnt of each driver, and the verdict. It needs
-    rerun-sdk, which is not installed by default.
-    """
-    if save is not None and save.suffix == ".json":
-        _save_layout(source, _to_save(save, overwrite, source))
-        return
-    if find_spec("rerun") is None:
-        raise InputError("view: rerun-sdk is not installed; pip install rerun-sdk")
-    output = _to_save(save, overwrite, source) if save is not None else None
-    import rerun
-
-    from sugiyama_ros.page.diagnosis import read_diagnosis
-    from sugiyama_ros.page.recording import read_recording
-    from sugiyama_ros.page.rerun_view import log
-
-    found = read_diagnosis(diagnosis) if diagnosis is not None else None
-    recording = read_recording(source)
-    check_data(found, diagnosis, recording, source)
-    stream = rerun.RecordingStream("sugiyama")
-    if output is None:
-        stream.spawn()
-        with showing(diagnosis):
-            log(stream, recording, found)
-        stream.disconnect()
-        return
-    content = stream.binary_stream()
-    with showing(diagnosis):
-        log(stream, recording, found)
-    with writing(output) as file:
-        file.write(content.read(flush=True))
-    print_line(f"recording of Rerun: {output.path} (look at it: rerun {output.path})")
-
-
-def _save_layout(source: Path, output: Output) -> None:
-    """Write a layout of panels with all vehicles of a recording, for another program."""
-    from sugiyama_ros.formats.registry import read_trajectories
-    from sugiyama_ros.page.layouts import lichtblick
-
-    vehicles = read_trajectories(source, None).vehicle.tolist()
-    with writing(output) as file:
-        file.write(lichtblick(vehicles).encode())
-    print_line(
-        f"layout of {len(vehicles)} vehicles: {output.path} (import it in Lichtblick or Foxglove, and open {source})"
-    )
-
-
-def _to_save(path: Path, overwrite: bool, source: Path) -> Output:
-    """The file to write. Raises InputError for another suffix, or OutputError."""
-    if path.suffix not in (_RERUN, ".json"):
-        raise InputError(f"{path}: has no known ending; give a name that ends in {_RERUN} or .json")
-    output = Output(path, overwrite, (source,))
-    output.check()
-    return output

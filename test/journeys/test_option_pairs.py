@@ -12,7 +12,6 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, HTTPServer
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -75,8 +74,6 @@ VALUES: Mapping[str, Sequence[str]] = {
     "report --output": ("new.html", "old.html"),
     "report --figures": ("new_figures",),
     "--diagnosis": ("diagnosis.json",),
-    "view SOURCE": ("run.mcap",),
-    "view --save": ("new.json", *(["new.rrd"] if find_spec("rerun") else []), "old.json"),
     "live --host": ("127.0.0.1", "localhost"),
     "live --port": ("PORT",),
     "convert SOURCE": ("rich.csv", "ring.csv", "ring.mcap", "own.csv", "bag"),
@@ -106,9 +103,8 @@ VALUES: Mapping[str, Sequence[str]] = {
 }
 MAP = "vehicle: track\ntime_s: {column: frame, factor: 0.04}\ns_m: {column: x_ft, factor: 0.3048}\nlane: lane_number\n"
 BRIDGE = "type: nav_msgs/msg/Odometry\nx: pose.pose.position.x\ny: pose.pose.position.y\n"
-#: Options that are never left out: without them, a demo (test/system/test_demo.py) and a study take
-#: long, and a viewer opens.
-GIVEN = {"demo --data", "study --runs", "view --save"}
+#: Options that are never left out: without them, a demo (test/system/test_demo.py) and a study take long.
+GIVEN = {"demo --data", "study --runs"}
 #: Commands whose cases take seconds each: `make journeys` runs them.
 LONG = {"demo", "run", "diagnose", "study", "compare", "report", "live"}
 #: Every case is refused: nothing is downloaded in tests.
@@ -123,7 +119,6 @@ CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
     "run": [
         ("--output old.mcap", "no --overwrite"),
         ("ring.csv", "no --ring"),
-        ("--array", "--processes"),
         ("--law", "--engine filterpy"),
         ("--law", "--model"),
         ("--save-state state", "no --overwrite"),
@@ -167,7 +162,6 @@ CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
     ],
     "compare": [("ring.csv", "no --ring")],
     "report": [("--output old.html", "no --overwrite")],
-    "view": [("--save old.json", "no --overwrite")],
     "live": [("--output old.mcap", "no --overwrite"), ("ring.csv", "no --ring")],
     "recover": [("--output old.mcap", "no --overwrite")],
     "convert": [

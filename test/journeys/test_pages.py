@@ -192,7 +192,6 @@ STARTS = (
     "sugiyama diagnose tracks.parquet",
     "sugiyama compare ring.mcap",
     "sugiyama demo --data ring.mcap -o demo.mcap",
-    "sugiyama view run.mcap --save layout.json",
     "sugiyama info run.mcap",
 )
 

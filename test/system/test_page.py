@@ -25,8 +25,7 @@ from bokeh.util.token import generate_jwt_token
 from diagnoses import WHERE, addition, document, fails, force, gains
 from PIL import Image
 
-from sugiyama_ros.cli.report import view
-from sugiyama_ros.errors import InputError, OutputError
+from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.nodes.base import environment
 from sugiyama_ros.page import live
@@ -884,15 +883,12 @@ def test_the_layouts_beside_the_package_are_those_of_the_experiment():
     assert (ROOT / "layouts" / "lichtblick.json").read_text() == lichtblick(range(22))
 
 
-def test_layouts_for_other_programs_name_every_vehicle_of_a_recording(recorded, tmp_path):
-    layout = tmp_path / "layout.json"
-    done = subprocess.run([SUGIYAMA, "view", recorded, "--save", layout], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("layout of 6 vehicles")
-    plots = json.loads(layout.read_text())
+def test_layouts_for_other_programs_name_every_vehicle_of_a_recording(recorded):
+    layout = lichtblick(range(6))
+    plots = json.loads(layout)
     placed = re.findall(r'"(?:first|second)": "([^"]+)"', json.dumps(plots["layout"]))
     assert sorted(placed) == sorted(plots["configById"])
-    asked = re.findall(r'"value": "(/[^"]+)"', layout.read_text())
+    asked = re.findall(r'"value": "(/[^"]+)"', layout)
     declared = (ROOT / "msg_defs" / "msg" / "DriverArray.msg").read_text()
     fields = set(re.findall(r"^[a-z]\w+\[\] (\w+)", declared, re.MULTILINE))
     with Bag(recorded) as bag:
@@ -911,37 +907,6 @@ def test_layouts_for_other_programs_name_every_vehicle_of_a_recording(recorded, 
         shown[topic.split("/")[1]] += 1
     assert [shown[f"vehicle_{v:02d}"] for v in range(6)] == [5] * 6
     assert {"/markers", "/verdict", "/diagnostics"} <= topics
-
-
-def test_the_recording_of_rerun_holds_all_drivers_and_the_verdict(recorded, page, tmp_path):
-    pytest.importorskip("rerun")
-    from rerun.chunk import RrdReader
-
-    view(recorded, recorded.parent / "diagnosis.json", tmp_path / "run.rrd")
-    with pytest.raises(OutputError, match="exists already"):
-        view(recorded, save=tmp_path / "run.rrd")
-    with pytest.raises(InputError, match=r"ends in \.rrd or \.json"):
-        view(recorded, save=tmp_path / "run.mcap")
-    read = RrdReader(tmp_path / "run.rrd")
-    assert len(read.recordings()) == len(read.blueprints()) == 1
-    rows, said = Counter(), ""
-    for chunk in read.stream():
-        rows[chunk.entity_path] += 0 if chunk.is_static else chunk.num_rows
-        said += str(chunk.to_record_batch().to_pydict()) if chunk.entity_path == "/verdict" else ""
-    assert rows["/road/cars"] == 121
-    r = read_recording(recorded)
-    for k in range(6):
-        assert rows[f"/position/vehicle_{k:02d}"] == 121
-        known = np.isfinite(r.series["v_star"][:, k]).sum()
-        assert [rows[f"/v_star/vehicle_{k:02d}/{end}"] for end in ("estimate", "low", "high")] == [known] * 3
-    assert rows["/critic/base"] == len(r.verdict_s)
-    assert "What was missing is explained: slower stretch of road (slow_patch)" in said
-
-
-def test_without_rerun_one_line_says_how_to_install_it(monkeypatch):
-    monkeypatch.setattr("sugiyama_ros.cli.report.find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"pip install rerun-sdk"):
-        view(Path("run.mcap"))
 
 
 @pytest.mark.parametrize(("text", "words"), [("{", "is no JSON"), ("[]", "is no diagnosis"), ("{}", "is no diagnosis")])
