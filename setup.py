@@ -59,6 +59,7 @@ setup(
         "notebook": ["matplotlib>=3.8", "pandas>=2.2"],
         "pictures": ["matplotlib>=3.8"],
         "sumo": ["eclipse-sumo>=1.20"],  # for a test only
+        "xarray": ["xarray>=2024.7"],
     },
     zip_safe=False,
     entry_points={

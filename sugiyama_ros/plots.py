@@ -7,13 +7,13 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, SubFigure
 
 #: Colours that people with any colour vision tell apart (Okabe and Ito).
 BLUE, ORANGE, GREEN, GREY = "#0072b2", "#e69f00", "#009e73", "#7f7f7f"
 
 
-def space_time(figure: "Figure", time_s: Array, position_m: Array, speed: Array) -> None:
+def space_time(figure: "Figure | SubFigure", time_s: Array, position_m: Array, speed: Array) -> None:
     """Draw trajectories in space and time, coloured by speed.
 
     time_s: (T,), times [s]; position_m, speed: (T, N), positions [m], wrapped on a ring, and speeds [m/s]; naN where

@@ -13,7 +13,8 @@ from sugiyama_ros.outputs import writing
 
 if TYPE_CHECKING:
     import pandas
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, SubFigure
 
 
 class Result:
@@ -31,8 +32,8 @@ class Result:
         """List the figures: one mapping of column names to values for each row."""
         raise NotImplementedError
 
-    def draw(self, figure: "Figure") -> None:
-        """Draw the picture into an empty figure of matplotlib."""
+    def draw(self, figure: "Figure | SubFigure") -> None:
+        """Draw the picture into an empty figure of matplotlib, or a part of one."""
         raise NotImplementedError
 
     def to_frame(self) -> "pandas.DataFrame":
@@ -53,19 +54,50 @@ class Result:
 
         return pandas.DataFrame.from_records(list(self.records()))
 
-    def plot(self) -> "Figure":
-        """Draw the picture.
+    def summary(self) -> str:
+        """Return the headline and the first records as text.
 
         Returns
         -------
-        matplotlib.figure.Figure
-            The figure, which a notebook shows.
+        str
+            One line that says what the result is, and a table with a line for each of the first records.
+        """
+        rows = self.records()[:_SHOWN]
+        names = list(dict.fromkeys(name for row in rows for name in row))
+        lines = [names, *([_cell(row.get(name)) for name in names] for row in rows)]
+        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        table = ["  ".join(map(str.rjust, line, widths)) for line in lines if names]
+        return "\n".join((self.headline(), *table))
+
+    def plot(self, ax: "Axes | None" = None) -> "Figure | SubFigure":
+        """Draw the picture.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Axes whose place in a figure the picture takes; a figure of its own without it.
+
+        Returns
+        -------
+        matplotlib.figure.Figure or matplotlib.figure.SubFigure
+            The figure, which a notebook shows; with ``ax`` the part of its figure.
 
         Raises
         ------
         InputError
             If matplotlib is not installed.
         """
+        if ax is None:
+            return self._picture()
+        place = ax.get_subplotspec()
+        if place is None:
+            raise InputError("plot(ax=): these axes are no part of a grid; make them with subplots()")
+        part = ax.figure.add_subfigure(place)
+        ax.remove()
+        self.draw(part)
+        return part
+
+    def _picture(self) -> "Figure":
         needs("matplotlib", "plot()", "notebook")
         from sugiyama_ros.picture import Picture
 
@@ -103,7 +135,7 @@ class Result:
         stream.write(self.to_frame().to_csv(index=False).encode())
 
     def _save_plot(self, stream: BinaryIO, kind: str) -> None:
-        self.plot().savefig(stream, dpi=150, format=kind)
+        self._picture().savefig(stream, dpi=150, format=kind)
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {self.headline()}>"

@@ -24,7 +24,7 @@ from sugiyama_ros.tables import TextTable
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, SubFigure
 
 _VAGUE, _NOT_IDENTIFIED = "(not identified)", "not identified"
 
@@ -224,7 +224,7 @@ class Calibration(Result):
             records.append(one | {key: d[key] for key in ("log_likelihood", "nis") if key in d})
         return records
 
-    def draw(self, figure: "Figure") -> None:
+    def draw(self, figure: "Figure | SubFigure") -> None:
         """Draw each estimated parameter with its standard deviation, by vehicle; on tracks, over the time that counts.
 
         A parameter that is not identified is an open circle.

@@ -25,14 +25,15 @@ from sugiyama_ros.fit.stretched import prepared
 from sugiyama_ros.laws.registry import LAWS, RIVALS
 from sugiyama_ros.plots import bars
 from sugiyama_ros.progress import OnStage
-from sugiyama_ros.results import Result, plain
+from sugiyama_ros.results import Result, needs, plain
 from sugiyama_ros.simulation.collective import Collective, collective, wave_speed_error
 from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
 from sugiyama_ros.workers import here_or_there, send
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    import xarray
+    from matplotlib.figure import Figure, SubFigure
 
 #: The base model; what was asked for; a model file that was fitted to this recording; another law; or the base model
 #: on a recording that it simulates itself.
@@ -102,9 +103,35 @@ class Comparison(Result):
         models = plain(comparison_document(self))["models"]
         return [{name: value for name, value in one.items() if name not in left_out} for one in models]
 
-    def draw(self, figure: "Figure") -> None:
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return the held-out log-likelihood of every sample, for other tools of model comparison such as ArviZ.
+
+        Returns
+        -------
+        xarray.Dataset
+            ``log_likelihood`` [nats] of the measured position, given the samples before, with the dimensions ``model``,
+            ``driver`` and ``sample``; NaN where nothing is predicted.
+
+        Raises
+        ------
+        InputError
+            If xarray is not installed.
+        """
+        needs("xarray", "to_xarray()", "xarray")
+        import xarray
+
+        models = [one for one in self.models if one.kind != "simulated"]
+        nats = xarray.DataArray(
+            np.stack([one.forecasts.one_step for one in models]),
+            dims=("model", "driver", "sample"),
+            coords={"model": [one.name for one in models], "driver": list(self.vicinity.numbers)},
+            attrs={"units": "nats"},
+        )
+        return xarray.Dataset({"log_likelihood": nats}, attrs={"recording": self.vicinity.source})
+
+    def draw(self, figure: "Figure | SubFigure") -> None:
         """Draw the errors of free runs after 10 s, and the gains over the base model."""
-        left, right = figure.subplots(1, 2)
+        left, right = figure.subplots(1, 2, sharey=True)
         rows = self.records()
         run = "free_run" if self.vicinity.is_whole_road else "single_car"
         ends = [one[f"{run}_10s_m"] or 0.0 for one in rows]

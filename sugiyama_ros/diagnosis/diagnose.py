@@ -42,7 +42,7 @@ from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, SubFigure
 
 #: What the diagnosis concludes.
 Outcome = Literal["adequate", "explained", "not_explained"]
@@ -186,7 +186,7 @@ class Diagnosis(Result):
         found: list[dict[str, Any]] = plain(document(self))["candidates"]
         return found
 
-    def draw(self, figure: "Figure") -> None:
+    def draw(self, figure: "Figure | SubFigure") -> None:
         """Draw the held-out gains of the candidates, and the errors of free runs before and after."""
         left, right = figure.subplots(1, 2)
         best = [r for r in self.records() if r["heldout_gain_nats"] is not None][:12]

@@ -20,7 +20,7 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 from sugiyama_ros.trajectories.truth import Truth
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, SubFigure
 
 _FIELDS = {
     "state": ("speed", "acceleration", "mean_action", "gap_m", "approach_rate"),
@@ -122,7 +122,7 @@ class Recording(Result):
             for i, vehicle in enumerate(t.vehicle.tolist())
         ]
 
-    def draw(self, figure: "Figure") -> None:
+    def draw(self, figure: "Figure | SubFigure") -> None:
         """Draw the measured positions over time, coloured by the estimated speed."""
         space_time(figure, self.time_s, self.trajectories.position_m, self.series["speed"])
 

@@ -17,7 +17,7 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 from sugiyama_ros.trajectories.truth import TrueDriver, Truth
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, SubFigure
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Simulation(Result):
             for i, vehicle in enumerate(t.vehicle.tolist())
         ]
 
-    def draw(self, figure: "Figure") -> None:
+    def draw(self, figure: "Figure | SubFigure") -> None:
         """Draw the true positions over time, coloured by speed."""
         space_time(figure, self.measured.time_s, self.position_m, self.speed)
 

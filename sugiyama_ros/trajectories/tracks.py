@@ -18,7 +18,7 @@ from sugiyama_ros.trajectories.labels import Labels
 
 if TYPE_CHECKING:
     import pandas
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, SubFigure
 
 #: Leader of a driver whom nobody is ahead of, and of a driver whose leader is not in the table.
 FREE, UNKNOWN = -1, -2
@@ -210,7 +210,7 @@ class Tracks(Result):
         with writing(path) as stream:
             write_parquet(self, stream)
 
-    def draw(self, figure: "Figure") -> None:
+    def draw(self, figure: "Figure | SubFigure") -> None:
         """Draw the positions of the longest recording over time, coloured by speed."""
         codes, counts = np.unique(self.recording.code, return_counts=True)
         shown = self.select(self.recording.code == codes[np.argmax(counts)])

@@ -16,7 +16,7 @@ from sugiyama_ros.results import Result
 from sugiyama_ros.road import Road
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, SubFigure
 
 #: Length [m] of a vehicle if the file does not give the length: the mean of the paper's Table 1.
 DEFAULT_LENGTH_M = 4.33
@@ -94,7 +94,7 @@ class Trajectories(Result):
             )
         ]
 
-    def draw(self, figure: "Figure") -> None:
+    def draw(self, figure: "Figure | SubFigure") -> None:
         """Draw positions over time, coloured by speed."""
         moved = np.diff(self.road.unwrap(self.position_m), axis=0, append=np.nan)
         space_time(figure, self.time_s, self.position_m, moved / self.period_s)

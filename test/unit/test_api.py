@@ -36,6 +36,29 @@ def test_laws_and_effects_are_mappings():
     assert "slower stretch of road" in sg.effects._repr_html_()
 
 
+def test_a_picture_takes_the_place_of_axes(simulation):
+    import matplotlib.pyplot as plt
+
+    figure, (left, right) = plt.subplots(1, 2)
+    part = simulation.measured.plot(ax=right)
+    assert part.figure is figure
+    assert figure.axes == [left, *part.axes]
+    with pytest.raises(InputError, match="no part of a grid"):
+        simulation.measured.plot(ax=figure.add_axes((0.0, 0.0, 0.1, 0.1)))
+    plt.close(figure)
+
+
+def test_heldout_log_likelihoods_are_exported_for_other_tools(simulation):
+    compared = sg.compare(simulation)
+    exported = compared.to_xarray()["log_likelihood"]
+    rows = {one["name"]: one for one in compared.records()}
+    assert list(exported["driver"]) == [0, 1, 2]
+    for name in ("base", "helly"):
+        mean = float(exported.sel(model=name).mean())
+        assert mean == pytest.approx(rows[name]["loglik_per_sample"], rel=1e-12)
+    assert compared.summary().splitlines()[1].split()[:2] == ["name", "kind"]
+
+
 def test_a_data_frame_is_read_like_the_file(simulation, tmp_path):
     simulation.save(tmp_path / "three.csv")
     from_file = sg.read(tmp_path / "three.csv", ring_m=40.0)
