@@ -13,7 +13,7 @@ from sugiyama_ros.cli import calibrate, catalogue, data, demo, diagnose, limit_b
 from sugiyama_ros.errors import InputError
 
 # Names of arguments and options whose files are written; all other files that a command is given are inputs.
-_WRITTEN = {"output", "save", "figures", "save_state", "directory"}
+_WRITTEN = {"output", "save", "save_state", "directory"}
 
 
 class _Command(TyperCommand):

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sugiyama_ros.cli.options import Json, Overwrite, need_matplotlib
+from sugiyama_ros.cli.options import Json, Overwrite
 from sugiyama_ros.cli.output import print_against, print_note, show_page, tell
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.outputs import Output, make_directory
+from sugiyama_ros.outputs import Output
 
 if TYPE_CHECKING:
     from sugiyama_ros.page.recording import Recording
@@ -23,9 +23,6 @@ def report(
     diagnosis: Annotated[
         Path | None,
         typer.Option("--diagnosis", help="Document that `sugiyama diagnose --save` wrote for the same data."),
-    ] = None,
-    figures: Annotated[
-        Path | None, typer.Option("--figures", help="Directory to write figures to, for a paper: PDF and PNG.")
     ] = None,
     overwrite: Overwrite = False,
     show: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
@@ -47,27 +44,17 @@ def report(
         raise InputError(f"{page}: is not the name of a page; give a name that ends in .html")
     to_write = Output(page, overwrite, (source, *([diagnosis] if diagnosis is not None else ())))
     to_write.check()
-    if figures is not None:
-        need_matplotlib("--figures")
-        make_directory(figures)
     found, recording = read_diagnosis(diagnosis) if diagnosis is not None else None, read_recording(source)
     _check_data(found, diagnosis, recording, source)
     against = against_truth(source, recording)
-    written: list[Path] = []
     with _showing(diagnosis):
-        if figures is not None:
-            # the figures first: what refuses them leaves no page behind
-            from sugiyama_ros.page.figures import write_figures
-
-            written = write_figures(recording, found, figures, overwrite)
         write_report(recording, found, to_write, against)
-    text = f"page: {page}" + (f"; {len(written)} figures in {figures}" if written else "")
-    document = {"output": str(page), "size_bytes": page.stat().st_size, "figures": written}
+    document: dict[str, Any] = {"output": str(page), "size_bytes": page.stat().st_size}
     if against is not None:
         document["truth"] = dataclasses.asdict(against)
         if not as_json:
             print_against(against)
-    tell(document, text, as_json)
+    tell(document, f"page: {page}", as_json)
     if show:
         show_page(str(page))
 

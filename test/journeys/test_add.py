@@ -161,14 +161,6 @@ def test_no_command_writes_to_a_file_that_it_was_given(run, added, folder):
     assert (folder / "ring.json").read_text() == "{}"
 
 
-def test_a_report_that_is_refused_leaves_no_page(run, added, folder):
-    (folder / "taken").write_text("mine")
-    said = run("sugiyama report seen.mcap --diagnosis found.json --figures taken -o refused.html")
-    assert said.code == 2
-    assert not (folder / "refused.html").exists()
-    assert (folder / "taken").read_text() == "mine"
-
-
 def test_a_run_prints_the_mean_over_drivers(run, added):
     said = run("sugiyama run ring.csv --ring 56 -o mean.mcap")
     lines = [line for line in said.out.splitlines() if re.match(r"│\s+(\d|mean)", line)]

@@ -72,7 +72,6 @@ VALUES: Mapping[str, Sequence[str]] = {
     "laws NAME": ("", "idm"),
     "report SOURCE": ("run.mcap",),
     "report --output": ("new.html", "old.html"),
-    "report --figures": ("new_figures",),
     "--diagnosis": ("diagnosis.json",),
     "live --host": ("127.0.0.1", "localhost"),
     "live --port": ("PORT",),
