@@ -6,15 +6,30 @@ offers it through an entry point, for example ``[project.entry-points."sugiyama_
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from importlib import import_module
+from functools import cache
+from importlib import import_module, metadata
 from types import ModuleType
 from typing import Any, Protocol, TypeVar
 
-from sugiyama_ros.entry_points import entry_points
 from sugiyama_ros.errors import InputError
 
 #: Why an extension could not be loaded, by group and name of its entry point.
 FAILED: dict[tuple[str, str], str] = {}
+
+
+def entry_points(group: str) -> tuple[metadata.EntryPoint, ...]:
+    """Return the entry points of a group, sorted by name.
+
+    The installed packages are searched once, because a search takes longer than loading all built-in extensions.
+
+    group: name of the group, for example ``sugiyama_ros.effects``.
+    """
+    return tuple(sorted(_installed().select(group=group), key=lambda point: point.name))
+
+
+@cache
+def _installed() -> Any:  # of another class in Python 3.10
+    return metadata.entry_points()
 
 
 class Named(Protocol):

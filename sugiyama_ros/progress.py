@@ -76,6 +76,13 @@ def stages() -> Iterator[OnStage]:
         yield show
 
 
+@contextmanager
+def stage(what: str) -> Iterator[OnProgress]:
+    """Show a bar for work in a single stage."""
+    with stages() as advance:
+        yield lambda done, total: advance(what, done, total)
+
+
 def _lines() -> OnStage:
     """Print one line for each stage."""
     told: set[str] = set()

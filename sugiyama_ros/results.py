@@ -1,20 +1,55 @@
-"""What all results can do in a notebook: become a data frame, a picture, a page of HTML, or a file."""
+"""How results show themselves: as text, a table, a data frame, a picture, a page of HTML, or a file."""
 
 import html
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from importlib.util import find_spec
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.outputs import writing
+from sugiyama_ros.files import writing
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, SubFigure
+
+    from sugiyama_ros.arrays import Array
+
+#: A colour that people with any colour vision tell apart from others (Okabe and Ito).
+BLUE = "#0072b2"
+_GREY = "#7f7f7f"
+
+
+def figure(value: float, digits: int = 3) -> str:
+    """Write a number for people: with so many digits, and never as 1.63e+03.
+
+    Examples
+    --------
+    >>> figure(1634.2), figure(0.01234), figure(999.7)
+    ('1634', '0.0123', '1000')
+    """
+    text = f"{value:.{digits}g}"
+    return f"{value:.0f}" if "e+" in text else text
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """A table of text.
+
+    title: title above the table; empty for no title; headings: heading of each column; rows: cells of each row, one
+    cell for each heading; left: number of columns that are aligned to the left, counted from the left; the other
+    columns are aligned to the right.
+    """
+
+    title: str
+    headings: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    left: int = 0
 
 
 class Result:
@@ -49,7 +84,7 @@ class Result:
         InputError
             If pandas is not installed.
         """
-        needs("pandas", "to_frame()", "notebook")
+        needs("pandas", "to_frame()")
         import pandas
 
         return pandas.DataFrame.from_records(list(self.records()))
@@ -98,8 +133,16 @@ class Result:
         return part
 
     def _picture(self) -> "Figure":
-        needs("matplotlib", "plot()", "notebook")
-        from sugiyama_ros.picture import Picture
+        needs("matplotlib", "plot()")
+        from matplotlib.figure import Figure
+
+        class Picture(Figure):
+            """A figure that a notebook shows, whether or not pyplot is in use."""
+
+            def _repr_png_(self) -> bytes:
+                stream = BytesIO()
+                self.savefig(stream, format="png", dpi=100)
+                return stream.getvalue()
 
         figure = Picture(figsize=(9.0, 5.0), layout="constrained")
         self.draw(figure)
@@ -165,7 +208,7 @@ def _cell(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def needs(module: str, what: str, extra: str) -> None:
+def needs(module: str, what: str) -> None:
     """Check that an optional library is there. Raises InputError, which says how to install it."""
     if find_spec(module) is None:
         raise InputError(f"{what}: {module} is not installed; pip install {module}")
@@ -183,3 +226,23 @@ def plain(value: Any) -> Any:
         # a number of numpy
         value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def space_time(figure: "Figure | SubFigure", time_s: "Array", position_m: "Array", speed: "Array") -> None:
+    """Draw trajectories in space and time, coloured by speed.
+
+    time_s: (T,), times [s]; position_m, speed: (T, N), positions [m], wrapped on a ring, and speeds [m/s]; naN where
+    unknown.
+    """
+    axes = figure.subplots()
+    time = time_s[:, None].repeat(position_m.shape[1], axis=1)
+    seen = (time.ravel(), position_m.ravel())
+    dots = axes.scatter(*seen, c=speed.ravel(), s=1.5, cmap="cividis", linewidths=0, rasterized=True)
+    figure.colorbar(dots, ax=axes, label="speed [m/s]")
+    axes.set(xlabel="time [s]", ylabel="position [m]")
+
+
+def bars(axes: Any, names: list[str], values: list[float], errors: list[float], label: str) -> None:
+    """Draw horizontal bars with error bars, the first bar on top."""
+    axes.barh(names[::-1], values[::-1], xerr=errors[::-1], color=BLUE, ecolor=_GREY)
+    axes.set(xlabel=label)

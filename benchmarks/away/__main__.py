@@ -20,7 +20,7 @@ from typing import Any
 from benchmarks.away.cases import PARTS, STRENGTHS, Case, cases
 from benchmarks.away.judged import Judged, judge_named, report
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.outputs import Output, writing
+from sugiyama_ros.files import Output, writing
 
 #: A recording: the case, the strength, and the seed.
 Job = tuple[Case, str, int]

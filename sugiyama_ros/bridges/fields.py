@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from sugiyama_ros.documents import read_yaml
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.files import read_yaml
 from sugiyama_ros.trajectories.placing import SeenVehicle
 
 #: A second [ns].

@@ -13,14 +13,12 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.files import Target
 from sugiyama_ros.fit.classes import Classes, DriverTypes
 from sugiyama_ros.fit.driver import Fit, Formulation
 from sugiyama_ros.fit.smooth_positions import ESTIMATED
 from sugiyama_ros.laws.registry import PAPERS, law
-from sugiyama_ros.outputs import Target
-from sugiyama_ros.plots import BLUE
-from sugiyama_ros.results import Result, plain
-from sugiyama_ros.tables import TextTable
+from sugiyama_ros.results import BLUE, Result, TextTable, plain
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 if TYPE_CHECKING:

@@ -47,11 +47,11 @@ def main() -> None:
 
 def _run() -> int | str | None:
     """Run the command, and return its exit code."""
-    from sugiyama_ros import inputs
+    from sugiyama_ros import files
     from sugiyama_ros.cli.app import app
 
     try:
-        with inputs.remembered():
+        with files.remembered():
             app()
     except SystemExit as end:
         return end.code
@@ -98,8 +98,7 @@ def limit_bytes() -> int | None:
 def _effects_of_others() -> list[str]:
     """Names of the effects that come from other packages."""
     from sugiyama_ros.effects.registry import GROUP
-    from sugiyama_ros.entry_points import entry_points
-    from sugiyama_ros.plugins import FAILED
+    from sugiyama_ros.plugins import FAILED, entry_points
 
     return [point.name for point in entry_points(GROUP) if (GROUP, point.name) not in FAILED]
 

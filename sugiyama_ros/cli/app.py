@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from sugiyama_ros import inputs, progress
+from sugiyama_ros import files, progress
 from sugiyama_ros.cli import calibrate, catalogue, data, demo, diagnose, limit_bytes, report, run, simulate, study
 from sugiyama_ros.errors import InputError
 
@@ -24,7 +24,7 @@ class _Command(TyperCommand):
             if name not in _WRITTEN:
                 for path in value if isinstance(value, list | tuple) else [value]:
                     if isinstance(path, Path):
-                        inputs.note_given(path)
+                        files.note_given(path)
         return super().invoke(ctx)
 
 

@@ -16,13 +16,13 @@ from sugiyama_ros.cli.options import (
     Scheduler,
     Seed,
     Sources,
-    Wide,
-    model_output,
+    model_to_write,
     names,
     takes,
 )
-from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, print_warnings, progress
+from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, print_warnings
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.progress import stage
 
 if TYPE_CHECKING:
     from sugiyama_ros.calibration.result import Calibration, Settings
@@ -77,7 +77,6 @@ class CalibrateOptions:
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Model file (YAML) to write.")] = None
     overwrite: Overwrite = False
     ring: Ring = None
-    wide: Wide = False
     as_json: Json = False
 
     @property
@@ -105,14 +104,14 @@ def calibrate(options: CalibrateOptions) -> None:
 
     The estimates are maximum-likelihood estimates, with their uncertainty.
     """
-    output = model_output(options.output, options.overwrite, options.sources)
+    output = model_to_write(options.output, options.overwrite)
     from sugiyama_ros.calibration.calibrate import calibrate_drivers
 
     settings = options.settings
     recording = _recording(options, settings.needs_one_lane or output is not None)
     print_warnings(recording)
     began = time.monotonic()
-    with progress("calibrating") as advance:
+    with stage("calibrating") as advance:
         found = calibrate_drivers(recording, settings, options.scheduler, advance)
     wall_s = time.monotonic() - began
     if output is not None:
@@ -121,7 +120,7 @@ def calibrate(options: CalibrateOptions) -> None:
     if options.as_json:
         print_json(found.document(wall_s))
     else:
-        _print(found, options.output, options.wide)
+        _print(found, options.output)
     for line in doubts:
         print_note(f"caution: {line}")
 
@@ -153,10 +152,10 @@ def _cautions(found: "Calibration") -> list[str]:
     return cautions(found)
 
 
-def _print(found: "Calibration", output: Path | None, wide: bool) -> None:
+def _print(found: "Calibration", output: Path | None) -> None:
     for line in found.class_sentences():
         print_line(line)
-    print_table(found.table(), wide=wide)
+    print_table(found.table())
     for line in found.shared_sentences():
         print_line(line)
     if found.trajectories is None:

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sugiyama_ros.cli.options import Json, Overwrite, Ring, names, takes
-from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, progress, tell, to_json
+from sugiyama_ros.cli.options import Json, Overwrite, Ring, names, takes, to_write
+from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, tell, to_json
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.outputs import Output, name_of_part
-from sugiyama_ros.tables import TextTable
+from sugiyama_ros.files import Output, name_of_part
+from sugiyama_ros.progress import stage
+from sugiyama_ros.results import TextTable
 
 if TYPE_CHECKING:
     from sugiyama_ros.formats.convert import Part
@@ -80,7 +81,7 @@ def convert(options: ConvertOptions) -> None:
         return
     from sugiyama_ros.formats.convert import convert_tracks
 
-    tracks = convert_tracks(options.source, _output(options), part)
+    tracks = convert_tracks(options.source, to_write(options.output, options.overwrite), part)
     _tell_tracks(tracks, options)
 
 
@@ -96,7 +97,7 @@ def _convert_seen(options: ConvertOptions) -> None:
         raise InputError("convert: --odometry and --centerline go together; give both")
     if options.output.suffix.lower() not in (".parquet", ".csv"):
         raise InputError(f"{options.output}: tracks are written as .parquet or .csv; give such a name")
-    output = _output(options)
+    output = to_write(options.output, options.overwrite)
     settings = PerceptionSettings(frame=options.frame)
     if options.period is not None:
         settings = dataclasses.replace(settings, period_s=options.period)
@@ -121,14 +122,6 @@ def _only_files(options: ConvertOptions) -> ConvertOptions:
     return ConvertOptions(
         options.source, options.output, options.ring, overwrite=options.overwrite, as_json=options.as_json
     )
-
-
-def _output(options: ConvertOptions) -> Output:
-    """The file to write, checked before the work begins."""
-    given = (options.source, options.columns, options.centre_line, options.bridge)
-    output = Output(options.output, options.overwrite, tuple(path for path in given if path is not None))
-    output.check()
-    return output
 
 
 def _part(options: ConvertOptions) -> "Part":
@@ -157,7 +150,7 @@ def _part(options: ConvertOptions) -> "Part":
 def _convert_to_bag(options: ConvertOptions) -> None:
     from sugiyama_ros.formats.convert import convert as convert_file
 
-    t = convert_file(options.source, _output(options), options.ring)
+    t = convert_file(options.source, to_write(options.output, options.overwrite), options.ring)
     document = {
         "output": str(options.output),
         "vehicles": len(t.vehicle),
@@ -201,7 +194,7 @@ def fetch(
         if not sys.stdin.isatty():
             raise InputError(f"{name}: its terms were not accepted; add --accept-licence")
         typer.confirm("Do you accept these terms?", abort=True, err=True)
-    with progress("downloading") as advance:
+    with stage("downloading") as advance:
         fetched = download(name, directory, url, advance, overwrite)
     tell(dataclasses.asdict(fetched), f"{fetched.data}\n{fetched.bag}", as_json)
 

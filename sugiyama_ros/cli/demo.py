@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sugiyama_ros.cli.options import Json, Overwrite, Ring, Seed, own_output
+from sugiyama_ros.cli.options import Json, Overwrite, Ring, Seed, own_output, to_write
 from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, show_page
 from sugiyama_ros.cli.run import INTERRUPTED, RunOptions, replay
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.outputs import Output
+from sugiyama_ros.files import Output
 from sugiyama_ros.progress import stages
-from sugiyama_ros.results import plain
-from sugiyama_ros.tables import TextTable
+from sugiyama_ros.results import TextTable, plain
 
 if TYPE_CHECKING:
     from sugiyama_ros.diagnosis.diagnose import Diagnosis
@@ -41,7 +40,7 @@ def demo(
     overwrite: Overwrite = False,
     ring: Ring = None,
     hidden: Annotated[
-        str, typer.Option("--hidden", help="Effect that the simulated drivers have and the model lacks, or random.")
+        str, typer.Option("--hidden", help="Effect that the simulated drivers have and the model lacks.")
     ] = "slow_patch",
     seed: Seed = 1,
     show: Annotated[bool, typer.Option("--open", help="Open the report in the browser.")] = False,
@@ -53,8 +52,8 @@ def demo(
     model lacks, adds it to the model, and replays the experiment again. With --data, it does the same with a measured
     experiment.
     """
-    recording = own_output(output, _OWN, overwrite, data)
-    page = _page_beside(recording)
+    recording = own_output(output, _OWN, overwrite)
+    page = to_write(recording.path.with_suffix(".html"), recording.overwrite)
     from sugiyama_ros.api import FEW_STEPS
     from sugiyama_ros.formats.registry import read_trajectories
     from sugiyama_ros.page.recording import read_recording
@@ -100,7 +99,8 @@ def _simulated(hidden: str, seed: int) -> tuple["Trajectories", dict[str, Any]]:
     """A simulated experiment with a hidden effect, and the truth for the document."""
     from sugiyama_ros.studies.effects import DEMONSTRATED, STRENGTHS, hide
 
-    hidden = _chosen(hidden, tuple(STRENGTHS), seed)
+    if hidden not in STRENGTHS:
+        raise InputError(f"--hidden {hidden}: is not known; give one of {', '.join(STRENGTHS)}")
     simulated, values = hide(hidden, DEMONSTRATED.get(hidden, STRENGTHS[hidden][0]), seed)
     return simulated.measured, {"hidden": {"name": hidden, "parameters": dict(values)}}
 
@@ -127,26 +127,6 @@ def _print(told: dict[str, Any], rmse: list[float], recording: Output, page: Out
         print_line(f"The hidden effect: {addition(told, truth)}: {size_of(told, truth)}")
     print_line(f"all topics: {recording.path} (look at them: sugiyama info {recording.path})")
     print_line(f"report: {page.path} (open it in a browser)")
-
-
-def _page_beside(recording: Output) -> Output:
-    """The report, whose name is the recording's with another suffix. Raises InputError or OutputError."""
-    page = Output(recording.path.with_suffix(".html"), recording.overwrite)
-    if page.path == recording.path:
-        raise InputError(f"{recording.path}: is the name of a page; give a name that ends in .mcap")
-    page.check()
-    return page
-
-
-def _chosen(hidden: str, effects: tuple[str, ...], seed: int) -> str:
-    """The effect to hide. Raises InputError for an unknown name."""
-    if hidden == "random":
-        import numpy as np
-
-        return effects[int(np.random.default_rng(seed).integers(len(effects)))]
-    if hidden not in effects:
-        raise InputError(f"--hidden {hidden}: is not known; give one of {', '.join(effects)}, random")
-    return hidden
 
 
 def _before_and_after(

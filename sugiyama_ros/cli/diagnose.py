@@ -19,16 +19,15 @@ from sugiyama_ros.cli.options import (
     Scheduler,
     Seed,
     Sources,
-    Wide,
     bag_for,
     command_line,
-    model_output,
+    model_to_write,
     names,
     takes,
+    to_write,
 )
 from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, print_warnings, to_json
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.outputs import Output
 from sugiyama_ros.progress import stages
 from sugiyama_ros.results import plain
 
@@ -69,7 +68,6 @@ class DiagnoseOptions:
     law: Law = PAPERS
     seed: Seed = 0
     scheduler: Scheduler = None
-    wide: Wide = False
     as_json: Json = False
 
 
@@ -80,13 +78,13 @@ def diagnose(options: DiagnoseOptions) -> None:
     The diagnosis says where the model fails, which effect explains the failure, and how certain that is.
     """
     add = _names(options.add)
-    to_write = model_output(options.output, options.overwrite, options.sources)
-    to_save = _document_output(options)
+    model = model_to_write(options.output, options.overwrite)
+    saved = None if options.save is None else to_write(options.save, options.overwrite, ".json")
     from sugiyama_ros.api import FEW_STEPS
+    from sugiyama_ros.files import writing
     from sugiyama_ros.fit.model_file import write_model
     from sugiyama_ros.formats.registry import read_recordings
     from sugiyama_ros.laws.registry import law
-    from sugiyama_ros.outputs import writing
     from sugiyama_ros.page.document import document
     from sugiyama_ros.page.words import cautions, sentences
     from sugiyama_ros.workers import helpers
@@ -105,10 +103,10 @@ def diagnose(options: DiagnoseOptions) -> None:
     given = {"command": _command(options), "model_file": options.output, "file": options.save, **_given(options)}
     everything = plain({**document(found), **given})
     everything["verdict"]["told"] = sentences(everything)
-    if to_write is not None:
-        write_model(to_write, found.data, found.final.fit, cautions(everything))
-    if to_save is not None:
-        with writing(to_save) as stream:
+    if model is not None:
+        write_model(model, found.data, found.final.fit, cautions(everything))
+    if saved is not None:
+        with writing(saved) as stream:
             stream.write(to_json(everything).encode())
     if options.as_json:
         print_json(everything)
@@ -123,17 +121,6 @@ def _found(recording: "Trajectories | Tracks", **settings: Any) -> "Diagnosis":
     from sugiyama_ros.diagnosis.diagnose import diagnose as find
 
     return find(recording, **{"workers": os.cpu_count() or 1, **settings})
-
-
-def _document_output(options: DiagnoseOptions) -> Output | None:
-    """The document to write, if one is wanted. Raises InputError for a name that is not JSON, or OutputError."""
-    if options.save is None:
-        return None
-    if options.save.suffix != ".json":
-        raise InputError(f"{options.save}: is not the name of a document; give a name that ends in .json")
-    output = Output(options.save, options.overwrite, tuple(options.sources))
-    output.check()
-    return output
 
 
 def _names(add: str | None) -> tuple[str, ...]:
@@ -156,9 +143,9 @@ def _print_found(found: Mapping[str, Any], options: DiagnoseOptions) -> None:
 
     for line in found["verdict"]["told"]:
         print_line(line)
-    print_table(tables.steps(found), wide=options.wide)
+    print_table(tables.steps(found))
     if found["verdict"]["effects"]:
-        print_table(tables.by_driver(found), wide=options.wide)
+        print_table(tables.by_driver(found))
 
 
 def _command(options: DiagnoseOptions, **changed: object) -> str:
@@ -211,7 +198,6 @@ class CompareOptions:
     ring: Ring = None
     seed: Seed = 0
     scheduler: Scheduler = None
-    wide: Wide = False
     as_json: Json = False
 
 
@@ -265,12 +251,12 @@ def _print_compared(found: Mapping[str, Any], options: CompareOptions, given: "m
             f"{options.model} is taken as it is, while all other models are fitted to this recording: {same} of"
             f" {len(drivers)} drivers have the parameters of the vehicle with their number{median}"
         )
-    print_table(tables.compared(found, show_all=options.show_all), wide=options.wide)
+    print_table(tables.compared(found, show_all=options.show_all))
     if not options.show_all:
         print_line(f"all {len(models)} models, and what the whole road does: {again(show_all=True)}")
         return
     if (road := tables.collective(found)) is not None:
-        print_table(road, wide=options.wide)
+        print_table(road)
         print_line(
             "±: measured, the standard error over blocks of time; simulated, the standard deviation over simulations"
         )

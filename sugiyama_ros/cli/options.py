@@ -6,8 +6,7 @@ import inspect
 import itertools
 import math
 import shlex
-from collections.abc import Callable, Sequence
-from importlib.util import find_spec
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, TypeVar, get_type_hints
 
@@ -15,7 +14,7 @@ import typer
 from typer.models import ArgumentInfo
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.outputs import Output
+from sugiyama_ros.files import Output
 
 Source = Annotated[Path, typer.Argument(help="Trajectories: a file in any known format.")]
 Sources = Annotated[
@@ -23,7 +22,6 @@ Sources = Annotated[
     typer.Argument(help="Trajectories: a file or a folder in any known format. Of several, each is a recording."),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document instead of text.")]
-Wide = Annotated[bool, typer.Option("--wide", help="Print each table in one piece, however wide it is.")]
 Ring = Annotated[
     float | None, typer.Option("--ring", help="Circumference of the road [m], if the file does not give it.")
 ]
@@ -122,15 +120,20 @@ def rate_of(text: str) -> float:
     return rate
 
 
-def model_output(path: Path | None, overwrite: bool, sources: Sequence[Path]) -> Output | None:
-    """The model file to write, if one is wanted. Raises InputError for a name that is not YAML, or OutputError."""
-    if path is None:
-        return None
-    if path.suffix not in (".yaml", ".yml"):
-        raise InputError(f"{path}: is not the name of a model file; give a name that ends in .yaml")
-    output = Output(path, overwrite, tuple(sources))
+def to_write(path: Path, overwrite: bool, *endings: str) -> Output:
+    """The file to write, checked before the work begins. Raises InputError for another ending, or OutputError."""
+    if endings and path.suffix not in endings:
+        raise InputError(
+            f"{path}: cannot be written as {path.suffix or 'nothing'}; give a name that ends in {' or '.join(endings)}"
+        )
+    output = Output(path, overwrite)
     output.check()
     return output
+
+
+def model_to_write(path: Path | None, overwrite: bool) -> Output | None:
+    """The model file to write, if one is wanted. Raises InputError or OutputError."""
+    return None if path is None else to_write(path, overwrite, ".yaml", ".yml")
 
 
 def bag_for(source: Path) -> Path:
@@ -140,15 +143,6 @@ def bag_for(source: Path) -> Path:
     return next(bag for bag in bags if not bag.exists() and not bag.with_suffix(".html").exists())
 
 
-def own_output(given: Path | None, own: str, overwrite: bool, *inputs: Path | None) -> Output:
+def own_output(given: Path | None, own: str, overwrite: bool) -> Output:
     """The file to write: the one that was given, or else the file of the command's own name, which it may replace."""
-    used = tuple(path for path in inputs if path is not None)
-    output = Output(Path(own), True, used) if given is None else Output(given, overwrite, used)
-    output.check()
-    return output
-
-
-def need_matplotlib(option: str) -> None:
-    """Raise InputError if matplotlib is not installed."""
-    if find_spec("matplotlib") is None:
-        raise InputError(f"{option}: matplotlib is not installed; pip install matplotlib")
+    return to_write(Path(own), True) if given is None else to_write(given, overwrite, ".mcap")

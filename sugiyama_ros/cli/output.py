@@ -3,8 +3,7 @@
 import json
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from shutil import which
@@ -14,11 +13,9 @@ from rich.box import HEAVY_HEAD
 from rich.cells import cell_len
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from sugiyama_ros.results import plain
-from sugiyama_ros.tables import TextTable
+from sugiyama_ros.results import TextTable, plain
 
 if TYPE_CHECKING:
     from sugiyama_ros.page.recording import AgainstTruth
@@ -63,13 +60,12 @@ def print_cautions(model: Path | None) -> None:
         print_note(f"caution: {model}: {line}")
 
 
-def print_table(table: TextTable, boxed: bool = True, wide: bool = False) -> None:
-    """Print a table. Columns that do not fit stand below, with the first column again, unless the table may be wide.
+def print_table(table: TextTable, boxed: bool = True) -> None:
+    """Print a table. Columns that do not fit stand below, with the first column again.
 
     What is not known, NaN, is shown as "-".
     """
-    room = _WIDE if wide else max(_out.width, _NARROW)
-    for number, part in enumerate(_parts(table, room)):
+    for number, part in enumerate(_parts(table, max(_out.width, _NARROW))):
         _print_part(part if number == 0 else replace(part, title=""), boxed)
 
 
@@ -141,15 +137,3 @@ def show_page(place: str) -> None:
             has_opened = True
     if not has_opened:
         print_note(f"no browser was found here; open {place} in one")
-
-
-@contextmanager
-def progress(what: str) -> Iterator[Callable[[int, int], None]]:
-    """Show a bar on a terminal; show nothing in a pipe."""
-    if not _err.is_terminal:
-        yield lambda done, total: None
-        return
-    columns = (TextColumn(what), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=_err, transient=True) as bar:
-        task = bar.add_task(what, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sugiyama_ros.cli.options import Json, Overwrite
+from sugiyama_ros.cli.options import Json, Overwrite, to_write
 from sugiyama_ros.cli.output import print_against, print_note, show_page, tell
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.outputs import Output
 
 if TYPE_CHECKING:
     from sugiyama_ros.page.recording import Recording
@@ -39,24 +38,20 @@ def report(
 
     if not source.name:
         raise InputError(f"{source}: not a file; give a file that `sugiyama run` recorded")
-    page = output or source.with_suffix(".html")
-    if page.suffix != ".html":
-        raise InputError(f"{page}: is not the name of a page; give a name that ends in .html")
-    to_write = Output(page, overwrite, (source, *([diagnosis] if diagnosis is not None else ())))
-    to_write.check()
+    page = to_write(output or source.with_suffix(".html"), overwrite, ".html")
     found, recording = read_diagnosis(diagnosis) if diagnosis is not None else None, read_recording(source)
     _check_data(found, diagnosis, recording, source)
     against = against_truth(source, recording)
     with _showing(diagnosis):
-        write_report(recording, found, to_write, against)
-    document: dict[str, Any] = {"output": str(page), "size_bytes": page.stat().st_size}
+        write_report(recording, found, page, against)
+    document: dict[str, Any] = {"output": str(page.path), "size_bytes": page.path.stat().st_size}
     if against is not None:
         document["truth"] = dataclasses.asdict(against)
         if not as_json:
             print_against(against)
-    tell(document, f"page: {page}", as_json)
+    tell(document, f"page: {page.path}", as_json)
     if show:
-        show_page(str(page))
+        show_page(str(page.path))
 
 
 def _check_data(found: Mapping[str, Any] | None, diagnosis: Path | None, recording: "Recording", source: Path) -> None:

@@ -33,13 +33,13 @@ from sugiyama_ros.cli.output import (
     print_line,
     print_note,
     print_table,
-    progress,
     show_page,
 )
 from sugiyama_ros.cli.report import report
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.nodes.executables import ros_needed
-from sugiyama_ros.tables import TextTable
+from sugiyama_ros.progress import stage
+from sugiyama_ros.results import TextTable
 
 if TYPE_CHECKING:
     from sugiyama_ros.nodes.plan import FromSimulator
@@ -125,7 +125,7 @@ def replay(options: RunOptions) -> "RunResult":
     print_cautions(options.model)
     domain = environment.isolate()
     doing = "simulating" if options.simulate else "replaying"
-    with progress(f"{doing} in ROS domain {domain}") as advance:
+    with stage(f"{doing} in ROS domain {domain}") as advance:
         return run_nodes(
             source,
             options.output,
@@ -299,7 +299,7 @@ def live(options: LiveOptions) -> None:
     if not options.host.strip():
         raise InputError("--host: is empty; leave it out for this machine alone, or give an address such as 0.0.0.0")
     print_cautions(options.model)
-    output = own_output(options.output, _LIVE, options.overwrite, options.source, options.model)
+    output = own_output(options.output, _LIVE, options.overwrite)
     settings = RunSettings(rate_of(options.rate), options.ring, options.model, critic=True, overwrite=output.overwrite)
     domain = environment.isolate() if options.source is not None else environment.domain()
     print_note(f"{'starting the nodes' if options.source is not None else 'listening'} in ROS domain {domain}")

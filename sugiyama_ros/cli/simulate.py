@@ -20,10 +20,10 @@ from sugiyama_ros.cli.options import (
     Start,
     command_line,
     takes,
+    to_write,
 )
 from sugiyama_ros.cli.output import print_cautions, print_json, print_line, print_note
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.outputs import Output
 
 if TYPE_CHECKING:
     from sugiyama_ros.arrays import Array
@@ -51,14 +51,7 @@ class SimulateOptions:
         typer.Option(help="With --lanes: FROM,TO: part of the road [m] on which vehicles are seen. By default all."),
     ] = None
     duration: Annotated[float, typer.Option(min=1.0, help="Duration of the simulation [s].")] = 250.0
-    gap: Annotated[
-        float, typer.Option(help="Gap between the vehicles at the start [m]. All vehicles start from rest.")
-    ] = 2.0
     period: Annotated[float, typer.Option(min=0.01, max=2.0, help="Time between two samples [s].")] = 1.0 / 3.0
-    horizon: Annotated[
-        int | None,
-        typer.Option(min=1, max=100, help="Number of periods that a driver looks ahead. By default as in the paper."),
-    ] = None
     spread: Annotated[
         float,
         typer.Option(min=0.0, max=1.0, help="Relative standard deviation of v_star and kappa_v over the drivers."),
@@ -89,20 +82,16 @@ def simulate(options: SimulateOptions) -> None:
     from sugiyama_ros.formats.plain_csv import write_csv
     from sugiyama_ros.formats.truth import write_simulated
 
-    output = options.output
-    if output.suffix not in (".mcap", ".csv"):
-        raise InputError(f"{output}: cannot be written as {output.suffix or 'nothing'}; give a .mcap or .csv name")
-    to_write = Output(output, options.overwrite, (options.model,) if options.model is not None else ())
-    to_write.check()
+    output = to_write(options.output, options.overwrite, ".mcap", ".csv")
     simulated = _simulated(options)
-    if output.suffix == ".mcap":
-        write_simulated(simulated.measured, simulated.truth, to_write)
+    if output.path.suffix == ".mcap":
+        write_simulated(simulated.measured, simulated.truth, output)
     else:
-        write_csv(simulated.measured, to_write)
+        write_csv(simulated.measured, output)
     speed = simulated.speed[len(simulated.speed) // 2 :]
     second_half = {"v_avg": speed.mean(), "v_min": speed.min(axis=1).mean(), "v_max": speed.max(axis=1).mean()}
     document = {
-        "output": str(output),
+        "output": str(options.output),
         "vehicles": options.vehicles,
         "steps": len(simulated.speed),
         "duration_s": simulated.measured.duration_s,
@@ -113,15 +102,15 @@ def simulate(options: SimulateOptions) -> None:
     if options.as_json:
         print_json(document)
         return
-    print_line(f"{options.vehicles} vehicles, {simulated.measured.duration_s:.1f} s, in {output}")
+    print_line(f"{options.vehicles} vehicles, {simulated.measured.duration_s:.1f} s, in {options.output}")
     shown = ", ".join(f"{name} {value:.2f}" for name, value in second_half.items())
     print_line(f"second half: {shown} m/s")
-    if output.suffix == ".csv" and simulated.measured.road.is_ring:
+    if output.path.suffix == ".csv" and simulated.measured.road.is_ring:
         # a table says nothing of the road
         from sugiyama_ros.cli.data import info
 
         ring = simulated.measured.road.circumference_m
-        print_line(f"look at it: {command_line('info', info, files=[output], ring=ring)}")
+        print_line(f"look at it: {command_line('info', info, files=[options.output], ring=ring)}")
     for c in simulated.collisions:
         print_note(f"collision: vehicle {c.vehicle} into {c.leader} at {c.time_s:.1f} s; the run ends there")
 
@@ -142,9 +131,7 @@ def _experiment(options: SimulateOptions, ring_m: float) -> "Experiment":
     return Experiment(
         ring_m=ring_m,
         duration_s=options.duration,
-        gap_m=options.gap,
         period_s=options.period,
-        horizon=options.horizon,
         spread=options.spread,
         seed=options.seed,
         start=options.start,
@@ -156,16 +143,13 @@ def _simulate_lanes(options: SimulateOptions, lanes: int) -> None:
     from sugiyama_ros.formats.tracks_parquet import write_tracks
     from sugiyama_ros.simulation.lanes import alike_lanes
 
-    if options.output.suffix not in (".parquet", ".csv"):
-        raise InputError(f"{options.output}: tracks cannot be written so; give a .parquet or .csv name")
     if options.ring:
         raise InputError("--ring: a ring has one lane; leave out --ring or --lanes")
-    to_write = Output(options.output, options.overwrite, (options.model,) if options.model is not None else ())
-    to_write.check()
+    output = to_write(options.output, options.overwrite, ".parquet", ".csv")
     experiment = _experiment(options, 0.0)
     experiment.check(options.vehicles * lanes)
     tracks = alike_lanes(experiment, _rows(options, options.vehicles * lanes), lanes, _view(options.view))
-    write_tracks(tracks, to_write)
+    write_tracks(tracks, output)
     seen = tracks.runs
     document = {
         "output": str(options.output),

@@ -8,11 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
-from sugiyama_ros.cli.options import Json, Overwrite, Ring, Seed, Wide, need_matplotlib, takes
+from sugiyama_ros.cli.options import Json, Overwrite, Ring, Seed, takes, to_write
 from sugiyama_ros.cli.output import print_json, print_line, print_table
-from sugiyama_ros.errors import InputError
-from sugiyama_ros.outputs import Output, writing
-from sugiyama_ros.tables import TextTable
+from sugiyama_ros.files import Output, writing
+from sugiyama_ros.results import TextTable, needs
 
 # Characters of a line of a caption.
 _CAPTION = 150
@@ -31,7 +30,6 @@ class StudyOptions:
     overwrite: Overwrite = False
     ring: Ring = None
     seed: Seed = 0
-    wide: Wide = False
     as_json: Json = False
 
 
@@ -54,23 +52,19 @@ def study(options: StudyOptions) -> None:
         for one in STUDIES.values():
             print_line(f"{one.name:12} {one.question}")
         return
-    picture, source = options.output, options.source
-    if picture is not None and picture.suffix not in (".png", ".pdf"):
-        raise InputError(f"{picture}: is not the name of a picture; give a name that ends in .png or .pdf")
-    read = (source,) if source is not None else ()
-    to_write = Output(picture, options.overwrite, read) if picture is not None else None
-    if to_write is not None:
-        to_write.check()
+    picture = None if options.output is None else to_write(options.output, options.overwrite, ".png", ".pdf")
+    if picture is not None:
+        needs("matplotlib", "--output")
     asked = study_of(options.name)
-    trajectories = read_trajectories(source, options.ring) if source is not None else None
+    trajectories = read_trajectories(options.source, options.ring) if options.source is not None else None
     with workers(options.runs) as work:
         answer = asked.answer(Asked(trajectories, options.runs, options.seed, work))
-        if to_write is not None:
-            _draw(answer.draw, to_write, f"{asked.question} The paper: {asked.paper} (seed {options.seed})")
+        if picture is not None:
+            _draw(answer.draw, picture, f"{asked.question} The paper: {asked.paper} (seed {options.seed})")
     if options.as_json:
         print_json({"study": options.name, "paper": asked.paper, "rows": answer.rows, "seed": options.seed})
         return
-    print_table(_table(asked.question, answer.rows), wide=options.wide)
+    print_table(_table(asked.question, answer.rows))
     print_line(f"The paper: {asked.paper}")
 
 
@@ -83,7 +77,6 @@ def _table(title: str, answers: Sequence[Mapping[str, Any]]) -> TextTable:
 
 def _draw(draw: Callable[[Any], None], output: Output, caption: str) -> None:
     """Draw a picture with a caption below it."""
-    need_matplotlib("--output")
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12, 7), layout="constrained")

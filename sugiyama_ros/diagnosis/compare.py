@@ -23,9 +23,8 @@ from sugiyama_ros.fit.score import filtered_states
 from sugiyama_ros.fit.simulated import resample, seeds
 from sugiyama_ros.fit.stretched import prepared
 from sugiyama_ros.laws.registry import LAWS, RIVALS
-from sugiyama_ros.plots import bars
 from sugiyama_ros.progress import OnStage
-from sugiyama_ros.results import Result, needs, plain
+from sugiyama_ros.results import Result, bars, needs, plain
 from sugiyama_ros.simulation.collective import Collective, collective, wave_speed_error
 from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories

@@ -35,9 +35,8 @@ from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.sandwich import shared_stds
 from sugiyama_ros.fit.stretched import prepared
 from sugiyama_ros.laws.registry import PAPERS
-from sugiyama_ros.plots import bars
 from sugiyama_ros.progress import OnStage
-from sugiyama_ros.results import Result, plain
+from sugiyama_ros.results import Result, bars, plain
 from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
 

@@ -13,17 +13,16 @@ import numpy as np
 import yaml
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.documents import number, read_yaml
 from sugiyama_ros.driver.parameters import COUNT, NAMES, check_for_filter, population
 from sugiyama_ros.effects.effect import RecordingExtent
 from sugiyama_ros.effects.registry import EFFECTS, GROUP, ROW, active, effect, index_of, switch_on
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.files import Target, number, read_yaml, writing
 from sugiyama_ros.fit.classes import DriverTypes
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded, Vicinity
 from sugiyama_ros.fit.sandwich import own_stds, shared_stds
 from sugiyama_ros.laws.registry import LAWS, PAPERS, law, name_of, number_of
-from sugiyama_ros.outputs import Target, writing
 from sugiyama_ros.plugins import FAILED
 from sugiyama_ros.trajectories.trajectories import Trajectories
 

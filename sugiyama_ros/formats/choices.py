@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from sugiyama_ros.documents import number, read_yaml
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.files import number, read_yaml
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.about import Reference, View
 from sugiyama_ros.trajectories.tracks import NUMBERS, TEXTS

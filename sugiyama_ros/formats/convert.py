@@ -1,15 +1,15 @@
 """Conversion of trajectory files to bags, and of files and folders to tables of tracks."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.files import Target, output_of
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.mcap_writer import LATCHED_TOPIC, BagWriter, Qos
 from sugiyama_ros.formats.measured import MEASURED_TYPE, ROAD_TYPE, messages
 from sugiyama_ros.formats.registry import read_tracks, read_trajectories
 from sugiyama_ros.formats.tracks_parquet import write_tracks
-from sugiyama_ros.outputs import Target, output_of
 from sugiyama_ros.trajectories.one_lane import one_lane
 from sugiyama_ros.trajectories.selection import Selection, select
 from sugiyama_ros.trajectories.time_base import on_time_base, period_of
@@ -23,10 +23,9 @@ def convert(source: Path, target: Target, ring_m: float | None = None) -> Trajec
     ring_m: circumference [m] of the ring, where the file does not say it; 0 for an open road. Raises InputError,
     OutputError.
     """
-    output = replace(output_of(target), inputs=(Path(source),))
-    output.check()
+    output_of(target).check()
     trajectories = read_trajectories(source, ring_m)
-    write_trajectories(trajectories, output)
+    write_trajectories(trajectories, target)
     return trajectories
 
 

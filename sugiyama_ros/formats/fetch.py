@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import BinaryIO
 
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.files import Output, make_directory, writing
 from sugiyama_ros.formats.convert import convert
 from sugiyama_ros.formats.reading import sha256
-from sugiyama_ros.outputs import Output, make_directory, writing
 from sugiyama_ros.progress import OnProgress
 
 

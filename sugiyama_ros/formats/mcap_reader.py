@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Footer, Header, Metadata, MetadataIndex, Statistics
 
-from sugiyama_ros.documents import read_yaml
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.files import read_yaml
 from sugiyama_ros.formats.cdr import Decoder, decoder_of
 from sugiyama_ros.formats.mcap_records import (
     HEAD,

@@ -12,9 +12,9 @@ import yaml
 from mcap.writer import CompressionType, Writer
 
 from sugiyama_ros.errors import InputError, OutputError
+from sugiyama_ros.files import Draft, Target, make_directory, not_written, writing
 from sugiyama_ros.formats.definitions import full_text, type_hash
 from sugiyama_ros.formats.mcap_records import METADATA
-from sugiyama_ros.outputs import Draft, Target, make_directory, not_written, writing
 
 #: Chunks are closed at this size [bytes]; small chunks limit what a crash can lose.
 _CHUNK_SIZE = 256 << 10

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.files import Target, writing
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.format import Format
 from sugiyama_ros.formats.reading import lines, number, open_input, sha256
 from sugiyama_ros.formats.samples import Samples, agreed_road
 from sugiyama_ros.formats.sheet import MISSING
 from sugiyama_ros.formats.table import read_table
-from sugiyama_ros.outputs import Target, writing
 from sugiyama_ros.trajectories.jumps import check_jumps
 from sugiyama_ros.trajectories.one_lane import check_order, one_lane
 from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M, Trajectories

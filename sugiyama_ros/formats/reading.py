@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from sugiyama_ros import inputs
+from sugiyama_ros import files
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 
@@ -39,7 +39,7 @@ def open_input(path: Path) -> BinaryIO:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{path}: cannot be read: {reason}; check the name and the permissions") from None
-    inputs.note(stream.fileno())
+    files.note(stream.fileno())
     return stream
 
 

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from mcap.opcode import Opcode
@@ -11,6 +11,7 @@ from mcap.records import Header, Metadata
 from mcap.writer import CompressionType, Writer
 
 from sugiyama_ros.errors import InputError, OutputError
+from sugiyama_ros.files import Target, output_of, writing
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.mcap_records import (
     HEAD,
@@ -23,7 +24,6 @@ from sugiyama_ros.formats.mcap_records import (
     content_records,
     open_packed,
 )
-from sugiyama_ros.outputs import Target, output_of, writing
 
 # Blocks in which the next chunk is looked for: they grow from the first size to the second.
 _FIRST_BLOCK, _BLOCK = 1 << 12, 1 << 20
@@ -55,7 +55,7 @@ def recover(path: Path, target: Target) -> Recovered:
 
     Raises InputError, OutputError.
     """
-    path, output = Path(path), replace(output_of(target), inputs=(Path(path),))
+    path, output = Path(path), output_of(target)
     output.check()
     out = output.path
     with open_packed(path) as stream:

@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import BinaryIO
 
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.files import Target, output_of, writing
 from sugiyama_ros.formats.choices import COLUMNS, Choices
 from sugiyama_ros.formats.columns import is_number
 from sugiyama_ros.formats.format import tracks_format
 from sugiyama_ros.formats.sheet import head_of, read_sheet, sheet_of
-from sugiyama_ros.outputs import Target, output_of, writing
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.exchange import about_of, of_columns, to_arrow, write_parquet
 from sugiyama_ros.trajectories.tracks import Tracks

@@ -16,16 +16,15 @@ import numpy as np
 from rclpy.publisher import Publisher
 from sugiyama_msgs.msg import DriverParameters
 
-from sugiyama_ros.documents import read_json
 from sugiyama_ros.driver.parameters import NAMES
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.files import read_json, writing
 from sugiyama_ros.filters.online import Learnt
 from sugiyama_ros.nodes.base.cdr_messages import NS
 from sugiyama_ros.nodes.base.node import OK, Health, PacedNode
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base.spin import run_node
-from sugiyama_ros.outputs import writing
 
 # An estimator may learn a value beyond the declared bounds, but not by more than this factor; smallest logarithm.
 _BEYOND, _LEAST = 100.0, -20.0

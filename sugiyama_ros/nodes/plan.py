@@ -10,6 +10,7 @@ from rclpy.parameter import Parameter
 
 from sugiyama_ros.driver.parameters import NAMES, population
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.files import Output, make_directory
 from sugiyama_ros.fit.model_file import drivers_of
 from sugiyama_ros.formats.truth import namespaces
 from sugiyama_ros.laws.registry import PAPERS
@@ -19,7 +20,6 @@ from sugiyama_ros.nodes.keeper import file_of, read_learnt
 from sugiyama_ros.nodes.replay import Replay, TrackSamples, samples_of
 from sugiyama_ros.nodes.simulator import SimulatorNode
 from sugiyama_ros.nodes.source import Source
-from sugiyama_ros.outputs import Output, make_directory
 from sugiyama_ros.simulation.experiment import Experiment
 
 REPLAY, RECORDER, CRITIC, DRIVERS = "/replay", "/recorder", "/critic", "/drivers"
@@ -168,9 +168,8 @@ class Plan:
         Raises InputError, OutputError.
         """
         given = (source if isinstance(source, Path) else source.model, settings.model)
-        inputs = tuple(path for path in given if path is not None)
-        _check_names(*inputs, output, settings.save_state, settings.resume)
-        Output(output, settings.overwrite, inputs).check()
+        _check_names(*(path for path in given if path is not None), output, settings.save_state, settings.resume)
+        Output(output, settings.overwrite).check()
         engine_of(settings.engine)
         drivers_of(settings.model, settings.law, "--{}".format)
         if settings.law != PAPERS and settings.engine != ENGINES[0]:

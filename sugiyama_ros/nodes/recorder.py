@@ -10,6 +10,7 @@ from typing import Any
 from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 
 from sugiyama_ros.errors import InputError, SugiyamaError
+from sugiyama_ros.files import Output
 from sugiyama_ros.formats.definitions import full_text
 from sugiyama_ros.formats.mcap_writer import BagWriter, FolderWriter, Qos
 from sugiyama_ros.nodes.base import cdr_messages, incoming
@@ -17,7 +18,6 @@ from sugiyama_ros.nodes.base.cdr_messages import NS
 from sugiyama_ros.nodes.base.node import ERROR, OK, RECORDER, UNRECORDED, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.qos import DEPTH, offered
 from sugiyama_ros.nodes.base.spin import run_node
-from sugiyama_ros.outputs import Output
 
 _POLL_S = 0.2
 # New topics that are subscribed to at one poll.

@@ -8,8 +8,8 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, get_args, get_origin, get_type_hints
 
-from sugiyama_ros.documents import number, read_json
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.files import number, read_json
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 _KINDS = {str: "a text", bool: "true or false", dict: "a mapping", list: "a list"}

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from sugiyama_ros.effects.registry import EFFECTS
-from sugiyama_ros.tables import figure
+from sugiyama_ros.results import figure
 
 Document = Mapping[str, Any]
 _LAWS = {

@@ -13,9 +13,7 @@ from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.formats.truth import read_truth
-from sugiyama_ros.plots import space_time
-from sugiyama_ros.results import Result
-from sugiyama_ros.tables import TextTable
+from sugiyama_ros.results import Result, TextTable, space_time
 from sugiyama_ros.trajectories.trajectories import Trajectories
 from sugiyama_ros.trajectories.truth import Truth
 

@@ -14,7 +14,7 @@ from bokeh.embed import components
 from bokeh.models import UIElement
 from bokeh.resources import Resources
 
-from sugiyama_ros.outputs import Target, writing
+from sugiyama_ros.files import Target, writing
 from sugiyama_ros.page.diagnosis import file_of, run_command
 from sugiyama_ros.page.names import (
     MODELS,

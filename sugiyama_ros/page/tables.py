@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sugiyama_ros.page.names import MODELS, Document, model_name, models, nats
-from sugiyama_ros.tables import TextTable
+from sugiyama_ros.results import TextTable
 
 # Rows that a comparison shows first.
 _ROWS = 6

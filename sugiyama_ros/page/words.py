@@ -29,7 +29,7 @@ from sugiyama_ros.page.names import (
     worse_columns,
 )
 from sugiyama_ros.page.tables import ranked
-from sugiyama_ros.tables import figure
+from sugiyama_ros.results import figure
 
 # A single-car error of a driver that grows by this factor is told.
 _WORSE = 1.2

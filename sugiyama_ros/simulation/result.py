@@ -11,8 +11,7 @@ from sugiyama_ros.driver.parameters import COUNT, NAMES
 from sugiyama_ros.effects.registry import ROW, active
 from sugiyama_ros.formats.plain_csv import write_csv
 from sugiyama_ros.formats.truth import write_simulated
-from sugiyama_ros.plots import space_time
-from sugiyama_ros.results import Result
+from sugiyama_ros.results import Result, space_time
 from sugiyama_ros.trajectories.trajectories import Trajectories
 from sugiyama_ros.trajectories.truth import TrueDriver, Truth
 

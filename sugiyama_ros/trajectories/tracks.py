@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sugiyama_ros.arrays import Array, Ints, Mask
-from sugiyama_ros.outputs import writing
-from sugiyama_ros.plots import space_time
-from sugiyama_ros.results import Result, needs
+from sugiyama_ros.files import writing
+from sugiyama_ros.results import Result, needs, space_time
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.labels import Labels
 
@@ -174,7 +173,7 @@ class Tracks(Result):
         InputError
             If pandas is not installed.
         """
-        needs("pandas", "to_frame()", "notebook")
+        needs("pandas", "to_frame()")
         import pandas
 
         frame: dict[str, Any] = {}

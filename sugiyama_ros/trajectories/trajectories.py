@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.plots import space_time
-from sugiyama_ros.results import Result
+from sugiyama_ros.results import Result, space_time
 from sugiyama_ros.road import Road
 
 if TYPE_CHECKING:

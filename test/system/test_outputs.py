@@ -219,9 +219,6 @@ def test_odd_paths(here, name):
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("--gap", "nan"),
-        ("--gap", "inf"),
-        ("--gap=-1",),
         ("--duration", "inf"),
         ("--duration", "1e12"),
         ("--vehicles", "1000000000000"),

@@ -11,20 +11,14 @@ PACKAGE = Path(__file__).parents[2] / "sugiyama_ros"
 #: The rooms (folders and single files), as in CONTRIBUTING.md. Each room may import the rooms above it, and errors.
 ORDER = (
     "arrays",
-    "inputs",
+    "files",
     "interrupts",
-    "outputs",
-    "documents",
-    "entry_points",
     "progress",
     "fingerprint",
     "jit",
     "by_address",
     "plugins",
-    "picture",
     "results",
-    "plots",
-    "tables",
     "road",
     "trajectories",
     "formats",
@@ -46,25 +40,22 @@ ORDER = (
     "compile",
 )
 #: Single files that CONTRIBUTING.md does not have to name.
-SMALL = {"entry_points", "inputs", "interrupts", "progress", "plugins", "picture", "results", "plots", "tables"}
+SMALL = {"interrupts", "progress", "plugins", "results"}
 #: Rooms that may import only these rooms, whatever the order allows.
 ALONE = {
     "page": set(
         [
             "arrays",
             "diagnosis",
-            "documents",
             "driver",
             "effects",
+            "files",
             "fit",
             "formats",
             "laws",
-            "outputs",
-            "plots",
             "progress",
             "results",
             "road",
-            "tables",
             "trajectories",
         ]
     ),

@@ -21,6 +21,7 @@ import pytest
 from sugiyama_ros.driver.parameters import defaults
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import OutputError
+from sugiyama_ros.files import Output, Target, output_of, writing
 from sugiyama_ros.filters.online import Learnt
 from sugiyama_ros.fit.model_file import write_drivers
 from sugiyama_ros.formats.convert import write_trajectories
@@ -34,7 +35,6 @@ from sugiyama_ros.formats.registry import tracks_of
 from sugiyama_ros.formats.tracks_parquet import write_tracks
 from sugiyama_ros.formats.truth import write_simulated
 from sugiyama_ros.nodes.keeper import Kept, write_learnt
-from sugiyama_ros.outputs import Output, Target, output_of, writing
 from sugiyama_ros.page.recording import read_recording
 from sugiyama_ros.page.report import write_report
 from sugiyama_ros.road import Road
@@ -46,7 +46,7 @@ PACKAGE = Path(__file__).parents[2] / "sugiyama_ros"
 #: Files that may open others for writing: the one place, closed standard streams, and logs and pages of the
 #: developers in folders of their own.
 OTHERS = {
-    "outputs.py",
+    "files.py",
     "cli/__init__.py",
     "formats/mcap_records.py",
     "nodes/run.py",
@@ -323,7 +323,7 @@ def test_every_place_that_writes_is_in_the_table() -> None:
     """`writing` is always the head of a with statement, so that a failure of any kind removes what was begun."""
     found = set()
     for name, tree in TREES.items():
-        if name == "outputs.py":
+        if name == "files.py":
             continue
         heads = [item.context_expr for node in ast.walk(tree) if isinstance(node, ast.With) for item in node.items]
         for call in calls(tree):

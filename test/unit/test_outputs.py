@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sugiyama_ros import inputs
-from sugiyama_ros.documents import read_yaml
+from sugiyama_ros import files
 from sugiyama_ros.errors import OutputError
+from sugiyama_ros.files import Output, name_of_part, read_yaml, writing
 from sugiyama_ros.formats.reading import open_input
-from sugiyama_ros.outputs import Output, name_of_part, writing
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
@@ -108,14 +107,16 @@ def test_an_input_is_never_written(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     source = tmp_path / "in.csv"
     source.write_bytes(OLD)
     (tmp_path / "hard.csv").hardlink_to(source)
-    with pytest.raises(OutputError, match="also read by this command"):
-        write(Output(Path(name), overwrite=True, inputs=(source,)))
+    with files.remembered():
+        files.note_given(source)
+        with pytest.raises(OutputError, match="also read by this command"):
+            write(Output(Path(name), overwrite=True))
     assert source.read_bytes() == OLD
 
 
 def test_a_file_that_was_read_on_the_way_is_never_written(tmp_path: Path) -> None:
     """Metadata beside the tracks, a map of columns, a file of a folder; but what the command wrote itself may go."""
-    with inputs.remembered():
+    with files.remembered():
         for name, read in (("a.yaml", read_yaml), ("b.csv", lambda path: open_input(path).close())):
             (tmp_path / name).write_bytes(OLD)
             read(tmp_path / name)

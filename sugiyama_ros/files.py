@@ -1,23 +1,29 @@
-"""The one place that opens files for writing. A file appears under its name only when it is whole.
+"""The one place that reads documents and opens files for writing.
 
 A file is written under a random name beside its own name, such as ``out.csv.3f9a1c07.part``. It is flushed to the disk
 and renamed at the end. After an error, the file under the name is the old one, whole, or none.
+
+A command never writes to a file that it was given or has read, such as metadata beside it or a file of a folder. Only
+the command line remembers which files these are; in a notebook, a file that was read may be written.
 """
 
+import json
+import math
 import os
 import re
 import secrets
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
-from sugiyama_ros import inputs
-from sugiyama_ros.errors import OutputError
+from sugiyama_ros.errors import InputError, OutputError
 
-#: Longest part [bytes] of a name that is kept in the name of the unfinished file; file systems allow 255 in all.
+# Largest document [bytes], and how deep lists and mappings may lie in one another.
+_LARGEST_BYTES, _DEEPEST = 50_000_000, 32
+# Longest part [bytes] of a name that is kept in the name of the unfinished file; file systems allow 255 in all.
 _MOST_OF_A_NAME = 235
 _PART = re.compile(r"(?P<name>.+?)(?:\.[0-9a-f]{8})?\.part", re.DOTALL)
 _KINDS = {
@@ -29,19 +35,114 @@ _KINDS = {
     stat.S_IFBLK: "a device",
 }
 
+# A file is its device and its number there, whatever its names.
+_Key = tuple[int, int]
+_read: set[_Key] = set()
+_own: set[_Key] = set()
+_remembers = False
+
+
+@contextmanager
+def remembered() -> Iterator[None]:
+    """Remember which files are read in the block, and forget them at its end; a command runs in such a block."""
+    global _remembers
+    _remembers = True
+    try:
+        yield
+    finally:
+        _remembers = False
+        _read.clear()
+        _own.clear()
+
+
+def note(number: int) -> None:
+    """Note that the program reads the file with a descriptor. A file that it has written itself does not count."""
+    if _remembers and (key := _key(os.fstat(number))) not in _own:
+        _read.add(key)
+
+
+def note_given(path: Path) -> None:
+    """Note that somebody has given a file as an input, whether the program reads it or not."""
+    if _remembers:
+        with suppress(OSError, ValueError):
+            about = path.stat()
+            if stat.S_ISREG(about.st_mode):
+                _read.add(_key(about))
+
+
+def _key(about: os.stat_result) -> _Key:
+    return about.st_dev, about.st_ino
+
+
+def read_json(path: Path) -> Any:
+    """Read a JSON document. Raises InputError."""
+    return _parsed(path, json.loads, "JSON")
+
+
+def read_yaml(path: Path) -> Any:
+    """Read a YAML document without aliases. Raises InputError."""
+    # Imported here: a document in JSON needs no YAML.
+    import yaml
+
+    # libyaml, if it is installed, is ten times faster
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+    def parse(text: str) -> Any:
+        try:
+            depth = 0
+            # The events come one by one. Only the loader below goes into lists within lists, by recursion.
+            for event in yaml.parse(text, Loader=loader):
+                if isinstance(event, yaml.AliasEvent):
+                    raise InputError(f"{path}: has aliases (*name), which are not read; write out what they stand for")
+                depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+                if depth > _DEEPEST:
+                    raise InputError(f"{path}: lists and mappings lie more than {_DEEPEST} deep; not read")
+            return yaml.load(text, Loader=loader)
+        except (yaml.YAMLError, LookupError, TypeError, AttributeError) as error:  # of "!!int ''", LookupError
+            raise ValueError("is no YAML") from error
+
+    return _parsed(path, parse, "YAML")
+
+
+def _parsed(path: Path, parse: Callable[[str], Any], kind: str) -> Any:
+    """Read a file, check its size and depth, and parse it. Raises InputError."""
+    try:
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path}: not a regular file; give a file")
+        with path.open("rb") as stream:
+            note(stream.fileno())
+            content = stream.read(_LARGEST_BYTES + 1)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{path}: cannot be read: {reason}; check the name and the permissions") from None
+    if len(content) > _LARGEST_BYTES:
+        raise InputError(f"{path}: larger than {_LARGEST_BYTES // 1_000_000} MB; is it the right file?")
+    try:
+        return parse(content.decode())
+    except (ValueError, OverflowError, RecursionError):
+        raise InputError(f"{path}: is no {kind}; give a file that sugiyama has written") from None
+
+
+def number(value: Any, where: str) -> float:
+    """Return a finite number of a document. Raises InputError."""
+    if isinstance(value, int | float | str) and not isinstance(value, bool):
+        with suppress(OverflowError, ValueError):
+            found = float(value)
+            if math.isfinite(found):
+                return found
+    raise InputError(f"{where}: {str(value)[:40]!r} is no finite number; correct it")
+
 
 @dataclass(frozen=True)
 class Output:
     """A file to write.
 
-    path: the file; overwrite: whether a regular file of this name is replaced; inputs: files that will be read; none of
-    them may be the output; may_be_read: whether the output may be a file that this program has read, see
-    `sugiyama_ros.inputs`.
+    path: the file; overwrite: whether a regular file of this name is replaced; may_be_read: whether that may be a file
+    which this command has read.
     """
 
     path: Path
     overwrite: bool = False
-    inputs: tuple[Path, ...] = ()
     may_be_read: bool = False
 
     def check(self) -> None:
@@ -51,12 +152,8 @@ class Output:
                 reason = "Permission denied" if self.path.parent.is_dir() else "No such directory"
                 raise OutputError(f"{self.path}: cannot be written: {reason}; choose another place")
             return
-        for source in self.inputs:
-            with suppress(OSError, ValueError):
-                if source.samefile(self.path):
-                    raise _is_input(self.path)
-        if not self.may_be_read and inputs.was_read(self.path):
-            raise _is_input(self.path)
+        if not self.may_be_read and _read and _key(self.path.stat()) in _read:
+            raise OutputError(f"{self.path}: is also read by this command; give another name for the output")
         if not self.overwrite:
             raise _exists(self.path)
 
@@ -93,7 +190,8 @@ class Draft:
     def finish(self) -> None:
         """Bring everything to the disk, and give the file its name. Raises OutputError."""
         self.sync()
-        inputs.note_own(self.stream.fileno())
+        if _remembers:
+            _own.add(_key(os.fstat(self.stream.fileno())))
         self.stream.close()
         try:
             self._output.check()
@@ -181,10 +279,6 @@ def _is_there(path: Path) -> bool:
     if kind != stat.S_IFREG:
         raise OutputError(f"{path}: is {_KINDS.get(kind, 'no regular file')}; give the name of a file")
     return True
-
-
-def _is_input(path: Path) -> OutputError:
-    return OutputError(f"{path}: is also read by this command; give another name for the output")
 
 
 def _exists(path: Path) -> OutputError:
