@@ -116,7 +116,7 @@ class Comparison(Result):
         InputError
             If xarray is not installed.
         """
-        needs("xarray", "to_xarray()", "xarray")
+        needs("xarray", "to_xarray()")
         import xarray
 
         models = [one for one in self.models if one.kind != "simulated"]
