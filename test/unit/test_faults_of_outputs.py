@@ -174,7 +174,6 @@ PLACES = {
     "trajectories/tracks.py": "result.parquet",
     "cli/diagnose.py": "pieces",
     "cli/study.py": "pieces",
-    "cli/report.py": "pieces",
 }
 
 
