@@ -24,8 +24,8 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import SugiyamaError
 from sugiyama_ros.nodes.base import cdr_messages, environment
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
-from sugiyama_ros.nodes.base.samples import Positions
 from sugiyama_ros.nodes.base.spin import RUNNER, Spinner, ros
+from sugiyama_ros.trajectories.placing import Positions
 
 _PLATOON, _HEADWAY_M, _SPEED, _NOISE_M, _LENGTH_M = 10, 25.0, 12.0, 0.2, 4.5
 _START_S, _LAST_S = 120.0, 3.0

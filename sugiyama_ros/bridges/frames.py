@@ -2,25 +2,29 @@
 
 import math
 from bisect import bisect_right, insort
+from collections.abc import Iterable
 from dataclasses import replace
 from enum import Enum
 from operator import attrgetter
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.bridges.fields import NS, yaw
+from sugiyama_ros.bridges.bridge import NS, yaw
 from sugiyama_ros.trajectories.placing import SeenVehicle
 
-#: How long [s] transforms are kept, as in tf2, and how many frames may hang from one another.
-CACHE_S, _DEEPEST = 10.0, 50
-#: Time [s] between two transforms of a frame beyond which nothing is interpolated, if it is not the frame's usual one.
-LONGEST_HOLE_S = 1.0
+#: Names of the topics with transforms, and whether these stay for ever.
+TF_TOPICS = {"/tf": False, "/tf_static": True}
+TF_TYPE = "tf2_msgs/msg/TFMessage"
+# How long [s] transforms are kept, as in tf2, and how many frames may hang from one another.
+_CACHE_S, _DEEPEST = 10.0, 50
+# Time [s] between two transforms of a frame beyond which nothing is interpolated, if it is not the frame's usual one;
+# also the longest time for which a vehicle waits for a transform.
+_LONGEST_HOLE_S = 1.0
 # Periods of a frame that make a hole, and transforms from which the period follows.
 _PERIODS, _USUAL = 1.5, 20
-# Angle [rad] between two rotations below which the way does not matter.
-_SMALL = 1e-6
 
 _stamp = attrgetter("stamp_ns")
 
@@ -35,32 +39,62 @@ EARLY: Final = Waiting.EARLY
 
 
 class _Pose(NamedTuple):
-    """A frame in its parent: stamp [ns], parent, origin (3,) [m], and quaternion (4,) x, y, z, w."""
+    """A frame in its parent: stamp [ns], parent, origin (3,) [m], and rotation."""
 
     stamp_ns: int
     parent: str
     origin: Array
-    turn: Array
+    turn: Rotation
 
 
 class Frames:
-    """Transforms between frames, as they are published. Between two transforms, they are interpolated as in tf2."""
+    """Brings vehicles into a frame by the transforms that are published; an empty frame leaves them where they are.
 
-    def __init__(self) -> None:
+    Between two transforms, frames are interpolated as in tf2. So a vehicle waits for the transform after its stamp, but
+    no longer than a second.
+    """
+
+    def __init__(self, frame: str = "") -> None:
+        self._frame = frame
         self._moving: dict[str, list[_Pose]] = {}
         self._static: dict[str, _Pose] = {}
-        #: Stamp [ns] of the latest transform that moves.
-        self.newest_ns = -1
+        self._waiting: list[SeenVehicle] = []
+        #: Vehicles from whose frames no transform leads to the frame.
+        self.lost = 0
+
+    def take(self, seen: Iterable[SeenVehicle]) -> list[SeenVehicle]:
+        """Take in what was seen; returns the vehicles that are in the frame now."""
+        ready = []
+        for one in seen:
+            found = self.brought(one, self._frame)
+            if isinstance(found, SeenVehicle):
+                ready.append(found)
+            elif found is EARLY:
+                self._waiting.append(one)
+            else:
+                self.lost += 1
+        since_ns = max(map(_stamp, self._waiting), default=0) - round(_LONGEST_HOLE_S * NS)
+        waiting = [one for one in self._waiting if one.stamp_ns >= since_ns]
+        self.lost += len(self._waiting) - len(waiting)
+        self._waiting = waiting
+        return ready
+
+    def hear(self, message: Any, static: bool) -> list[SeenVehicle]:
+        """Take in the transforms of a TFMessage; returns the vehicles that have waited for them."""
+        self.add(message, static)
+        waiting, self._waiting = self._waiting, []
+        return self.take(waiting)
 
     def add(self, message: Any, static: bool) -> None:
-        """Take in the transforms of a TFMessage. One that is no rotation is left out."""
+        """Keep the transforms of a TFMessage. One that is no rotation is left out."""
         for one in message.transforms:
             q, t = one.transform.rotation, one.transform.translation
-            turn, origin = np.array([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z])
+            origin = np.array([t.x, t.y, t.z])
             if math.isnan(yaw(q.x, q.y, q.z, q.w)) or not np.isfinite(origin).all():
                 continue
             stamp_ns = int(one.header.stamp.sec) * NS + int(one.header.stamp.nanosec)
-            pose = _Pose(stamp_ns, one.header.frame_id.lstrip("/"), origin, turn / np.linalg.norm(turn))
+            turn = Rotation.from_quat([q.x, q.y, q.z, q.w])
+            pose = _Pose(stamp_ns, one.header.frame_id.lstrip("/"), origin, turn)
             child = one.child_frame_id.lstrip("/")
             if static:
                 self._static[child] = pose
@@ -69,51 +103,46 @@ class Frames:
 
     def is_moving(self, frame: str) -> bool:
         """Whether a frame moves in its parent, as far as is known."""
-        return frame.lstrip("/") in self._moving
+        return frame in self._moving
 
     def brought(self, seen: SeenVehicle, frame: str) -> SeenVehicle | Waiting | None:
-        """A vehicle as seen in another frame."""
-        own = seen.frame.lstrip("/")
-        if not frame or own == frame:
+        """A vehicle as seen in another frame; None where no transform leads there."""
+        if not frame or seen.frame == frame:
             return seen
-        ours, theirs = self._to_root(own, seen.stamp_ns), self._to_root(frame, seen.stamp_ns)
+        ours, theirs = self._to_root(seen.frame, seen.stamp_ns), self._to_root(frame, seen.stamp_ns)
         if ours is None or theirs is None:
             return None
-        if isinstance(ours, Waiting) or isinstance(theirs, Waiting) or ours[0] != theirs[0]:
+        if isinstance(ours, Waiting) or isinstance(theirs, Waiting) or ours.parent != theirs.parent:
             return EARLY
-        _, origin, rotation = ours
-        _, base, turn = theirs
-        point = turn.T @ (rotation @ np.array([seen.x_m, seen.y_m, 0.0]) + origin - base)
-        ahead = turn.T @ rotation @ np.array([math.cos(seen.heading), math.sin(seen.heading), 0.0])
-        heading = math.atan2(ahead[1], ahead[0])  # NaN stays NaN
-        return replace(seen, x_m=float(point[0]), y_m=float(point[1]), heading=heading, frame=frame)
+        back = theirs.turn.inv()
+        x, y, _ = back.apply(ours.turn.apply([seen.x_m, seen.y_m, 0.0]) + ours.origin - theirs.origin).tolist()
+        heading = math.nan
+        if not math.isnan(seen.heading):
+            ahead = (back * ours.turn).apply([math.cos(seen.heading), math.sin(seen.heading), 0.0])
+            heading = math.atan2(ahead[1], ahead[0])
+        return replace(seen, x_m=x, y_m=y, heading=heading, frame=frame)
 
     def _keep(self, child: str, pose: _Pose) -> None:
         kept = self._moving.setdefault(child, [])
-        if kept and pose.stamp_ns < kept[-1].stamp_ns - CACHE_S * NS:
+        if kept and pose.stamp_ns < kept[-1].stamp_ns - _CACHE_S * NS:
             kept.clear()  # time has begun anew
-            self.newest_ns = -1
         insort(kept, pose, key=_stamp)
-        self.newest_ns = max(self.newest_ns, pose.stamp_ns)
-        old = bisect_right(kept, kept[-1].stamp_ns - round(CACHE_S * NS), key=_stamp)
+        old = bisect_right(kept, kept[-1].stamp_ns - round(_CACHE_S * NS), key=_stamp)
         # of a frame that moves seldom, the last two are kept
         del kept[: min(old, len(kept) - 2)]
 
-    def _to_root(self, frame: str, stamp_ns: int) -> tuple[str, Array, Array] | Waiting | None:
-        """The root of a frame's tree, and the frame's origin and rotation in it."""
-        origin: Array = np.zeros(3)
-        rotation: Array = np.eye(3)
+    def _to_root(self, frame: str, stamp_ns: int) -> _Pose | Waiting | None:
+        """A frame in the root of its tree."""
+        found = _Pose(stamp_ns, frame, np.zeros(3), Rotation.identity())
         for _ in range(_DEEPEST):
-            pose = self._static.get(frame)
-            if pose is None and frame in self._moving:
-                found = self._at(frame, stamp_ns)
-                if not isinstance(found, _Pose):
-                    return found
-                pose = found
-            if pose is None:
-                return frame, origin, rotation
-            turn = _rotation(pose.turn)
-            origin, rotation, frame = turn @ origin + pose.origin, turn @ rotation, pose.parent
+            pose: _Pose | Waiting | None = self._static.get(found.parent)
+            if pose is None and found.parent not in self._moving:
+                return found
+            pose = pose or self._at(found.parent, stamp_ns)
+            if not isinstance(pose, _Pose):
+                return pose
+            origin = pose.turn.apply(found.origin) + pose.origin
+            found = _Pose(stamp_ns, pose.parent, origin, pose.turn * found.turn)
         return None
 
     def _at(self, frame: str, stamp_ns: int) -> _Pose | Waiting | None:
@@ -129,36 +158,9 @@ class Frames:
             return EARLY
         after = kept[k]
         between_ns = after.stamp_ns - before.stamp_ns
-        if before.parent != after.parent or between_ns > self._longest_ns(kept):
+        usual_ns = float(np.median(np.diff([pose.stamp_ns for pose in kept[-_USUAL:]])))
+        if before.parent != after.parent or between_ns > max(_LONGEST_HOLE_S * NS, _PERIODS * usual_ns):
             return None
         part = (stamp_ns - before.stamp_ns) / between_ns
-        origin = before.origin + part * (after.origin - before.origin)
-        return _Pose(stamp_ns, before.parent, origin, _between(before.turn, after.turn, part))
-
-    def _longest_ns(self, kept: list[_Pose]) -> float:
-        """Longest time [ns] between two transforms over which they are interpolated."""
-        usual = float(np.median(np.diff([pose.stamp_ns for pose in kept[-_USUAL:]])))
-        return max(LONGEST_HOLE_S * NS, _PERIODS * usual)
-
-
-def _between(a: Array, b: Array, part: float) -> Array:
-    """A quaternion on the shortest way from one to another, at a part of it (slerp)."""
-    cos = float(a @ b)
-    if cos < 0.0:
-        b, cos = -b, -cos
-    angle = math.acos(min(cos, 1.0))
-    if angle < _SMALL:
-        return a
-    return np.asarray((math.sin((1.0 - part) * angle) * a + math.sin(part * angle) * b) / math.sin(angle))
-
-
-def _rotation(quaternion: Array) -> Array:
-    """Rotation (3, 3) of a quaternion of length 1."""
-    x, y, z, w = quaternion.tolist()
-    return np.array(
-        [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
-            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
-            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
-        ]
-    )
+        turn = before.turn * Rotation.from_rotvec(part * (before.turn.inv() * after.turn).as_rotvec())
+        return _Pose(stamp_ns, before.parent, before.origin + part * (after.origin - before.origin), turn)

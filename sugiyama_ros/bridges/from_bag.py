@@ -1,271 +1,79 @@
 """Tracks from a bag of what a perception has seen: each vehicle at its own times becomes rows at regular times."""
 
 import math
-from collections.abc import Iterator
+import struct
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
+from functools import partial
+from heapq import merge
 from itertools import islice
+from operator import itemgetter
 from pathlib import Path
 from statistics import median_low
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from sugiyama_ros.arrays import Array, Ints, Mask
-from sugiyama_ros.bridges.fields import NS, Bridge
-from sugiyama_ros.bridges.frames import Frames
+from sugiyama_ros.bridges.bridge import BRIDGES, NS, Bridge
+from sugiyama_ros.bridges.frames import TF_TOPICS, TF_TYPE, Frames
 from sugiyama_ros.bridges.perception import (
+    BACK_IN_A_ROW,
+    BACK_NS,
+    MOST_LOST,
+    MOVING,
     RATES_DIFFER,
-    TF_TOPICS,
-    TF_TYPES,
     Counts,
+    Intake,
     Numbers,
     PerceptionSettings,
     lane_numbers,
 )
-from sugiyama_ros.bridges.registry import BRIDGES
-from sugiyama_ros.bridges.sightings import (
-    Collector,
-    Sightings,
-    Stamps,
-    Transforms,
-    brought,
-    check_followed,
-    directed,
-    recordings,
-)
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.cdr import ros2_name, why_unreadable
-from sugiyama_ros.formats.mcap_reader import BagSource
+from sugiyama_ros.formats.mcap_reader import BagMessage, BagSource
 from sugiyama_ros.formats.reading import checksum_of, shown_name
+from sugiyama_ros.formats.samples import MAX_SAMPLES
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.assemble import LONGEST_ABSENCE_S, assemble
 from sugiyama_ros.trajectories.centre_line import RoadLanes
 from sugiyama_ros.trajectories.jumps import jumps_noted
-from sugiyama_ros.trajectories.leaders import TICK_S
+from sugiyama_ros.trajectories.labels import Labels, labels, same_label
+from sugiyama_ros.trajectories.leaders import MOST_UNSEEN, TICK_S, find_leaders
 from sugiyama_ros.trajectories.placing import Placer, SeenVehicle
 from sugiyama_ros.trajectories.time_base import LONGEST_HOLE_S, nearly
-from sugiyama_ros.trajectories.tracks import FREE, NOBODY, UNKNOWN, Tracks
+from sugiyama_ros.trajectories.tracks import FREE, NOBODY, UNKNOWN, Tracks, starts
 
-# Periods of a vehicle that make a hole in its track, and sightings from which its period follows.
-_PERIODS, _FEW = 1.5, 3
-# Steps whose leaders are found at once.
-_AT_ONCE = 2000
+# Two resets of vehicles that are logged within this time [ns] are one.
+_ONE_RESET_NS = 5 * NS
+# A vehicle that is seen less often is not followed, and has no period.
+_FEW = 3
+# Way [m] that a vehicle goes between two messages, so that they are not of the same time.
+_MOVED_M = 0.01
+# Clocks that are further apart [s] are set; those that are so far apart are warned of.
+_CLOCKS_APART_S, _CLOCKS_DOUBTFUL_S = 1.0, 0.1
+# Periods of a vehicle that make a hole in its track.
+_PERIODS = 1.5
+# A time [ns] after all others.
+_END_NS = 1 << 62
+# Messages that show which frames move, and the type of transforms in old bags of ROS 1.
+_SOME, _OLD_TF_TYPE = 1000, "tf/msg/tfMessage"
 
-
-class _Grid(NamedTuple):
-    """Regular times: stamp [ns] of the first, and time [s] between two."""
-
-    first_ns: int
-    period_s: float
-
-
-class _Rows(NamedTuple):
-    """R rows of vehicles on the road: step, vehicle, lane, positions [m] along and across, length [m], and leader.
-
-    ``leader`` is the number of a vehicle, `FREE` or `UNKNOWN`.
-    """
-
-    step: Ints
-    vehicle: Ints
-    lane: Ints
-    s_m: Array
-    d_m: Array
-    length_m: Array
-    leader: Ints
-
-
-class _Lost(NamedTuple):
-    """What became of sightings: rows beside the road, sightings without a neighbour, interpolated rows, and holes."""
-
-    beside: int
-    alone: int
-    interpolated: int
-    holes: int
-
-
-def _own_periods(found: Sightings) -> list[float]:
-    """Usual time [s] between two sightings of each vehicle, from the shortest to the longest."""
-    periods = []
-    for rows in found.steps():
-        step = np.diff(found.stamp_ns[rows]) / NS
-        if len(step) >= _FEW - 1:
-            periods.append(float(np.median(step)))
-    return sorted(periods)
-
-
-def _usual_period(periods: list[float]) -> float:
-    """The period [s] that most vehicles have, as a round number if it nearly is one."""
-    return nearly(median_low(periods))
-
-
-def _rates_noted(periods: list[float], period_s: float) -> str:
-    """A warning where vehicles are seen at rates that differ, or less often than there are rows; empty otherwise."""
-    if not periods or max(periods[-1] / periods[0], periods[-1] / period_s) <= RATES_DIFFER:
-        return ""
-    return (
-        f"warning: vehicles were seen every {periods[0]:.3g} to {periods[-1]:.3g} s; in rows every {period_s:.3g} s,"
-        " positions in between are interpolated; --period sets another time"
-    )
-
-
-class _AtSteps(NamedTuple):
-    """Where vehicles are at the times of a grid: step, vehicle, position (x, y) [m], heading [rad] and length [m]."""
-
-    step: Ints
-    vehicle: Ints
-    x_m: Array
-    y_m: Array
-    heading: Array
-    length_m: Array
-
-
-def _rows_of(found: Sightings, grid: _Grid, placer: Placer) -> tuple[_Rows, _Lost]:
-    """Rows at the times of a grid, interpolated between the sightings of each vehicle.
-
-    A hole in which a vehicle was not seen for more than 0.5 s, or one and a half of its own periods if that is more,
-    stays a hole. A vehicle may drive on in its hole, and for a minute before and after it was seen: whoever would have
-    it as leader has an unknown leader.
-    """
-    parts, alone, interpolated, holes = [], 0, 0, 0
-    for rows in found.steps():
-        time_s = (found.stamp_ns[rows] - grid.first_ns) / NS
-        step_s = np.diff(time_s)
-        longest_s = max(LONGEST_HOLE_S, _PERIODS * float(np.median(step_s)) if len(step_s) else 0.0)
-        ends = np.flatnonzero(step_s > longest_s) + 1
-        holes += len(ends)
-        for piece in np.split(np.arange(len(rows)), ends):
-            part, off_s = _at_steps(found, rows[piece], time_s[piece], grid.period_s)
-            alone += len(piece) == 1 and not len(part.step)
-            interpolated += int(np.sum(off_s > TICK_S))
-            parts.append(part)
-    joined: list[Any] = [np.concatenate(columns) for columns in zip(*parts, strict=True)]
-    in_time = np.argsort(joined[0], kind="stable")
-    table = _AtSteps(*[column[in_time] for column in joined])
-    on_road, lane, s_m, d_m = _placed(table, found.vehicles, placer)
-    leader = np.full(len(on_road), UNKNOWN, dtype=np.int64)
-    leader[on_road] = _leaders(table, on_road, lane, s_m, grid.period_s, placer.road)
-    columns: list[Any] = [table.step, table.vehicle, lane, s_m, d_m, table.length_m, leader]
-    return _Rows(*[column[on_road] for column in columns]), _Lost(int((~on_road).sum()), alone, interpolated, holes)
-
-
-def _at_steps(found: Sightings, rows: Ints, time_s: Array, period_s: float) -> tuple[_AtSteps, Array]:
-    """A piece of a vehicle's track at the steps of a grid, and the time [s] from each to the nearest sighting."""
-    near = TICK_S / period_s
-    step = np.arange(math.ceil(time_s[0] / period_s - near), math.floor(time_s[-1] / period_s + near) + 1)
-    at_s = np.clip(step * period_s, time_s[0], time_s[-1])
-    right = np.clip(np.searchsorted(time_s, at_s), 0, len(time_s) - 1)
-    left = np.maximum(right - 1, 0)
-    nearest = np.where(at_s - time_s[left] < time_s[right] - at_s, left, right)
-    x, y = found.x_m[rows], found.y_m[rows]
-    if len(rows) > 1:
-        x, y = (CubicHermiteSpline(time_s, v, np.gradient(v, time_s))(at_s) for v in (x, y))
-    else:
-        x, y = x[nearest], y[nearest]
-    own = rows[nearest]
-    table = _AtSteps(step, found.vehicle[own], x, y, found.heading[own], found.length_m[own])
-    return table, np.abs(at_s - time_s[nearest])
-
-
-def _placed(table: _AtSteps, names: tuple[str, ...], placer: Placer) -> tuple[Mask, Ints, Array, Array]:
-    """Whether each row is on the road (R,), its lane, and its positions along and across [m]."""
-    count = len(table.step)
-    on_road, lane = np.zeros(count, dtype=bool), np.full(count, -1, dtype=np.int64)
-    s_m, d_m = np.full(count, np.nan), np.full(count, np.nan)
-    starts = np.flatnonzero(np.diff(table.step, prepend=-(1 << 62)))
-    for first, last in zip(starts.tolist(), [*starts[1:].tolist(), count], strict=True):
-        rows = {names[table.vehicle[row]]: row for row in range(first, last)}
-        seen = [SeenVehicle(0, n, table.x_m[r], table.y_m[r], table.heading[r]) for n, r in rows.items()]
-        for one in placer.place(seen):
-            row = rows[one.seen.name]
-            on_road[row], lane[row], s_m[row], d_m[row] = True, one.lane, one.s_m, one.d_m
-    return on_road, lane, s_m, d_m
-
-
-class _Ghost(NamedTuple):
-    """A vehicle that may be on the road without a row: steps from ``first`` to before ``last``, lane, and position.
-
-    The position [m] is ``s_m`` at the step ``first``, and grows by ``way_m`` [m] with each step.
-    """
-
-    first: int
-    last: int
-    lane: int
-    s_m: float
-    way_m: float
-
-    def within(self, begin: int, end: int) -> tuple[Ints, Array]:
-        """Steps of a block, and positions [m] at them."""
-        steps: Ints = np.arange(max(self.first, begin), min(self.last, end), dtype=np.int64)
-        return steps, self.s_m + self.way_m * (steps - self.first).astype(np.float64)
-
-
-def _leaders(table: _AtSteps, on_road: Mask, lane: Ints, s_m: Array, period_s: float, road: Road) -> Ints:
-    """Leader of each row on the road: the next vehicle ahead on its lane, `UNKNOWN` where another may be between."""
-    ghosts = sorted(_ghosts(table, on_road, lane, s_m, round(LONGEST_ABSENCE_S / period_s), road))
-    step, vehicle = table.step[on_road], table.vehicle[on_road]
-    lane, s_m = lane[on_road], s_m[on_road]
-    leader = np.full(len(step), FREE, dtype=np.int64)
-    for begin in range(int(step[0]), int(step[-1]) + 1, _AT_ONCE) if len(step) else ():
-        here = np.arange(*np.searchsorted(step, (begin, begin + _AT_ONCE)))
-        more = [ghost.within(begin, begin + _AT_ONCE) for ghost in ghosts]
-        all_step = np.concatenate([step[here], *(steps for steps, _ in more)])
-        all_lane = np.concatenate(
-            [lane[here], *(np.full(len(k), g.lane) for g, (k, _) in zip(ghosts, more, strict=True))]
-        )
-        all_s = np.concatenate([s_m[here], *(road.wrap(positions) for _, positions in more)])
-        name = np.concatenate([vehicle[here], np.full(len(all_step) - len(here), UNKNOWN)])
-        ahead = _next_ahead(all_step, all_lane, all_s, road.is_ring)
-        leader[here] = np.where(ahead >= 0, name[ahead], FREE)[: len(here)]
-    return leader
-
-
-def _next_ahead(step: Ints, lane: Ints, s_m: Array, is_ring: bool) -> Ints:
-    """Number of the next entry ahead at the same step on the same lane (N,); -1 for none."""
-    order = np.lexsort((s_m, lane, step))
-    last = np.ones(len(order), dtype=bool)
-    last[:-1] = (np.diff(step[order]) != 0) | (np.diff(lane[order]) != 0)
-    ahead = np.roll(order, -1)
-    first = np.flatnonzero(np.roll(last, 1))
-    ahead[last] = order[first] if is_ring else -1
-    ahead[ahead == order] = -1
-    found = np.empty(len(order), dtype=np.int64)
-    found[order] = ahead
-    return found
-
-
-def _ghosts(table: _AtSteps, on_road: Mask, lane: Ints, s_m: Array, most: int, road: Road) -> Iterator[_Ghost]:
-    """Where vehicles may be that have no row: in their holes, and before and after they were seen."""
-    order = np.lexsort((table.step, table.vehicle))
-    for rows in np.split(order, np.flatnonzero(np.diff(table.vehicle[order])) + 1):
-        step, there = table.step[rows], on_road[rows]
-        way = road.difference(s_m[rows[1:]], s_m[rows[:-1]]) / np.diff(step)
-        way = np.where(np.isfinite(way), way, 0.0)
-        # the way with each step, before and after each row
-        before, after = np.append(way[:1], way), np.append(way, way[-1:])
-        if not len(way):
-            before = after = np.zeros(1)
-        for k in range(-1, len(rows)):
-            left, right = k >= 0 and bool(there[k]), k + 1 < len(rows) and bool(there[k + 1])
-            start = int(step[k]) + 1 if k >= 0 else int(step[0]) - most
-            end = int(step[k + 1]) if k + 1 < len(rows) else int(step[-1]) + most + 1
-            if start >= end:
-                continue
-            if left:
-                ahead = float(after[k] if right else before[k])
-                last = min(end, start + most)
-                yield _Ghost(start, last, int(lane[rows[k]]), float(s_m[rows[k]]) + ahead, ahead)
-            elif right:
-                back, begin = float(after[k + 1]), max(start, end - most)
-                yield _Ghost(begin, end, int(lane[rows[k + 1]]), float(s_m[rows[k + 1]]) - back * (end - begin), back)
-
-
-_OF_ROWS = ("s_m", "d_m", "length_m")
-_LEADERS = {FREE: NOBODY, UNKNOWN: None}
-# Messages that show which frames move.
-_SOME = 1000
+# A vehicle as it was seen: as `SeenVehicle`, with numbers for the names; logged at a time [ns].
+_ROW = np.dtype(
+    [(name, "<i8") for name in ("stamp_ns", "log_ns")]
+    + [(name, "<f8") for name in ("x_m", "y_m", "heading", "length_m")]
+    + [(name, "<i8") for name in ("vehicle", "topic", "frame", "class")]
+)
+_PACKED = struct.Struct("<2q4d4q")
+_Rows: TypeAlias = NDArray[np.void]
+# The names of vehicles, topics, frames and classes, by their numbers.
+_Names: TypeAlias = dict[str, tuple[str, ...]]
 
 
 def tracks_of_bag(
@@ -275,46 +83,39 @@ def tracks_of_bag(
 
     pattern: pattern of the topics' names, such as ``/car*/odom``. Raises InputError.
     """
-    bag = BagSource(path)
-    known = BRIDGES | ({bridge.type: bridge} if bridge is not None else {})
-    bridges = _topics(bag, pattern, known)
-    counts = Counts()
-    sightings = _collected(bag, bridges, counts)
-    stamps = Stamps(path, bridges)
-    parts = [stamps.corrected(part) for part in recordings(sightings) if len(part)]
-    _check_frames(bag, sightings, settings.frame)
-    if settings.frame:
-        for k, part in enumerate(parts):
-            parts[k], unknown = brought(part, _transforms(bag), settings.frame)
-            counts.unknown_frame += unknown
-    check_followed(path, parts)
-    if not any(map(len, parts)):
+    bag, intake = BagSource(path), Intake()
+    bridges = _topics(bag, pattern, BRIDGES | ({bridge.type: bridge} if bridge is not None else {}))
+    sightings, names = _collected(bag, bridges, intake)
+    notes: list[str] = []
+    parts = [_stamped(part, names["topic"], bridges, notes) for part in _recordings(sightings)]
+    once = [_once(part, names["vehicle"], path) for part in parts]
+    repeated = sum(map(len, parts)) - sum(map(len, once))
+    _check_frames(bag, names["frame"], settings.frame)
+    there = [_in_frame(part, names["frame"], _transforms(bag), settings.frame) for part in once]
+    counts = intake.counts
+    counts.unknown_frame = sum(map(len, once)) - sum(map(len, there))
+    _check_followed(path, there)
+    there = [_directed(part) for part in there if len(part)]
+    if not there:
         raise InputError(
-            f"{path}: no transform leads from {', '.join(sightings.frames)} to {settings.frame} when vehicles are seen;"
+            f"{path}: no transform leads from {', '.join(names['frame'])} to {settings.frame} when vehicles are seen;"
             " check --frame, and record /tf and /tf_static"
         )
-    columns, lost, notes = _columns([directed(part) for part in parts if len(part)], lanes, settings)
-    about = _about(path, bag.files[0], lanes, counts, lost)
-    about = about.without("second sighting at the same time", stamps.repeated).noting(*stamps.notes, *notes)
-    if not len(columns["s_m"]):
+    periods = _own_periods(there)
+    period_s = settings.period_s or nearly(median_low(periods))
+    lost: Counter[str] = Counter()
+    regular = [_regular(part, period_s, lost) for part in there]
+    placed = [_placed(part, Placer(lanes)) for part in regular]
+    on_road = [one.on_road for one in placed]
+    lost["beside"] = sum(int((~one).sum()) for one in on_road)
+    if not any(one.any() for one in on_road):
         raise InputError(
-            f"{path}: no vehicle is on the road ({lost.beside} rows beside it); check the centre line and its frame"
+            f"{path}: no vehicle is on the road ({lost['beside']} rows beside it); check the centre line and its frame"
         )
-    tracks = assemble(columns, about, checked=False)
+    notes += [_rates_noted(periods, period_s), *_notes(lost, sum(map(len, regular)), len(there))]
+    about = _about(path, bag.files[0], lanes, counts, lost).without("second sighting at the same time", repeated)
+    tracks = assemble(_columns(regular, placed, names, lanes), about.noting(*notes), checked=False)
     return replace(tracks, about=tracks.about.noting(jumps_noted(tracks)))
-
-
-def _collected(bag: BagSource, bridges: dict[str, Bridge], counts: Counts) -> Sightings:
-    """All that the topics say of vehicles. Raises InputError where they say nothing that can be used."""
-    collector = Collector(bag.path, counts)
-    for message in bag.messages(bridges):
-        if isinstance(message.message, bytes):
-            raise InputError(f"{bag.path}: {message.topic}: {bag.undecoded[message.topic]}")
-        collector.add(message, bridges[message.topic])
-    sightings = collector.all()
-    if not len(sightings):
-        raise InputError(f"{bag.path}: no vehicle in the messages of {', '.join(bridges)}; check --odometry")
-    return sightings
 
 
 def _topics(bag: BagSource, pattern: str, known: dict[str, Bridge]) -> dict[str, Bridge]:
@@ -334,20 +135,183 @@ def _topics(bag: BagSource, pattern: str, known: dict[str, Bridge]) -> dict[str,
     raise InputError(f"{bag.path}: no topic {pattern}; it has {have}; see `sugiyama info {bag.path}`")
 
 
-def _transforms(bag: BagSource) -> Iterator[Transforms]:
+def _messages(bag: BagSource, topics: Iterable[str]) -> Iterator[BagMessage]:
+    """Decoded messages of some topics. Raises InputError where they cannot be decoded."""
+    for message in bag.messages(set(topics)):
+        if isinstance(message.message, bytes):
+            raise InputError(f"{bag.path}: {message.topic}: {bag.undecoded[message.topic]}")
+        yield message
+
+
+def _collected(bag: BagSource, bridges: dict[str, Bridge], intake: Intake) -> tuple[_Rows, _Names]:
+    """All that the topics say of vehicles, in the order of the log.
+
+    Raises InputError where they say nothing that can be used, and for more than a table may have.
+    """
+    path, counts, content = bag.path, intake.counts, bytearray()
+    numbers: dict[str, dict[str, int]] = {name: {} for name in ("vehicle", "topic", "frame", "class")}
+    for message in _messages(bag, bridges):
+        topic, log_ns = message.topic, message.log_time_ns
+        try:
+            seen = intake.take(message.message, bridges[topic], topic, log_ns)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+        for one in seen:
+            texts = (one.name, topic, one.frame, one.vehicle_class)
+            codes = [known.setdefault(text, len(known)) for known, text in zip(numbers.values(), texts, strict=True)]
+            stamp_ns = min(max(one.stamp_ns, -_END_NS), _END_NS)
+            content += _PACKED.pack(stamp_ns, log_ns, one.x_m, one.y_m, one.heading, one.length_m, *codes)
+        if len(content) > MAX_SAMPLES * _ROW.itemsize:
+            raise InputError(f"{path}: more than {MAX_SAMPLES} sightings of vehicles; split the bag")
+    for lost, why in ((counts.unnamed, "have no id"), (counts.doubled, "share an id in a message")):
+        if lost > MOST_LOST * counts.seen:
+            raise InputError(
+                f"{path}: {lost} of {counts.seen} detections {why}, so nobody can be followed; give the messages of a"
+                " tracker, whose ids stay with the vehicles"
+            )
+    if not content:
+        raise InputError(f"{path}: no vehicle in the messages of {', '.join(bridges)}; check --odometry")
+    return np.frombuffer(content, _ROW), {name: tuple(known) for name, known in numbers.items()}
+
+
+def _by_vehicle(rows: _Rows) -> list[Ints]:
+    """Rows of each vehicle, in the order in which they stand."""
+    order = np.argsort(rows["vehicle"], kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(rows["vehicle"][order])) + 1) if len(rows) else []
+
+
+# --- stamps
+
+
+def _recordings(rows: _Rows) -> list[_Rows]:
+    """The parts between which time has begun anew, as when a simulation is reset."""
+    resets: list[int] = []
+    for own in _by_vehicle(rows):
+        newest_ns, back = -_END_NS, 0
+        for k, stamp_ns in zip(own.tolist(), rows["stamp_ns"][own].tolist(), strict=True):
+            back = back + 1 if 0 < stamp_ns < newest_ns - BACK_NS else 0
+            if back == 1:
+                begin_ns = int(rows["log_ns"][k])
+            if back == BACK_IN_A_ROW:
+                resets.append(begin_ns)
+                newest_ns = stamp_ns
+            newest_ns = max(newest_ns, stamp_ns)
+    resets.sort()
+    first = [at for k, at in enumerate(resets) if not k or at - resets[k - 1] > _ONE_RESET_NS]
+    part = np.searchsorted(np.array(first, dtype=np.int64), rows["log_ns"], side="right")
+    return [rows[part == k] for k in np.unique(part)]
+
+
+def _stamped(rows: _Rows, topics: Sequence[str], bridges: dict[str, Bridge], notes: list[str]) -> _Rows:
+    """Log times instead of stamps that cannot be right, and one clock for all topics; notes say what was changed."""
+    stamp, log = rows["stamp_ns"].copy(), rows["log_ns"]
+    same = np.zeros(len(rows), dtype=bool)
+    for own in _by_vehicle(rows):
+        moved = np.hypot(np.diff(rows["x_m"][own]), np.diff(rows["y_m"][own])) > _MOVED_M
+        same[own[1:]] = (np.diff(stamp[own]) == 0) & moved
+    for number, topic in enumerate(topics):
+        here, name = rows["topic"] == number, bridges[topic].stamp
+        zero, many = here & (stamp == 0), int(here.sum())
+        if not name:
+            continue
+        if (unset := zero.sum() > 0.5 * many) or same[here].sum() > MOST_LOST * many:
+            stamp[here] = log[here]
+            why = "is 0" if unset else "stays the same while vehicles move"
+            notes.append(f"warning: {topic}: {name} {why}; the log times count instead")
+        elif zero.any():
+            stamp[zero] = log[zero] + round(np.median((stamp - log)[here & ~zero]))
+            notes.append(f"warning: {topic}: {int(zero.sum())} stamps are 0; the log times count instead")
+    offset = _offsets_s((log - stamp) / NS, (log - log.min()) / NS, rows["topic"])
+    usual = median_low(offset.values()) if offset else 0.0
+    for number, off_s in offset.items():
+        topic, late_s = topics[number], off_s - usual
+        if abs(late_s) > _CLOCKS_APART_S:
+            stamp[rows["topic"] == number] += round(late_s * NS)
+            which = "behind" if late_s > 0.0 else "ahead of"
+            said = f"its clock is {abs(late_s):.3g} s {which} the others; it was set by the log times"
+            notes.append(f"warning: {topic}: {said}")
+        elif abs(late_s) > _CLOCKS_DOUBTFUL_S:
+            notes.append(
+                f"warning: {topic}: recorded {late_s:.3g} s later after its stamps than the others; if its clock is"
+                " wrong, give a bridge with `stamp: ''`, which takes the log times"
+            )
+    rows = rows.copy()
+    rows["stamp_ns"] = stamp
+    return rows
+
+
+def _offsets_s(late_s: Array, log_s: Array, topic: Ints) -> dict[int, float]:
+    """How much later [s] the messages of each topic are logged after their stamps than those of the first one.
+
+    Topics are compared at the times at which both were logged: a replay that is not in real time moves all of them.
+    """
+    rows = {number: np.flatnonzero(topic == number) for number in np.unique(topic).tolist()}
+    rows = {number: here for number, here in rows.items() if len(here) > BACK_IN_A_ROW}
+    if len(rows) < 2:
+        return {}
+    first = max(rows, key=lambda number: len(rows[number]))
+    base = rows.pop(first)
+    offset = {first: 0.0}
+    for number, here in rows.items():
+        both = here[(log_s[here] >= log_s[base[0]]) & (log_s[here] <= log_s[base[-1]])]
+        if len(both):
+            offset[number] = float(np.median(late_s[both] - np.interp(log_s[both], log_s[base], late_s[base])))
+    return offset
+
+
+def _once(rows: _Rows, vehicles: Sequence[str], path: Path) -> _Rows:
+    """One sighting for each vehicle and time, sorted by time. Raises InputError for a vehicle at two places at once."""
+    rows = rows[np.lexsort((rows["log_ns"], rows["stamp_ns"], rows["vehicle"]))]
+    again = np.zeros(len(rows), dtype=bool)
+    again[1:] = (np.diff(rows["stamp_ns"]) == 0) & (np.diff(rows["vehicle"]) == 0)
+    apart = again.copy()
+    apart[1:] &= np.hypot(np.diff(rows["x_m"]), np.diff(rows["y_m"])) > _MOVED_M
+    if apart.sum() > MOST_LOST * len(rows):
+        one = rows[np.argmax(apart)]
+        raise InputError(
+            f"{path}: {vehicles[one['vehicle']]} is at two places at {one['stamp_ns'] / NS:g} s, and so in"
+            f" {int(apart.sum())} of {len(rows)} messages; one name stands for several vehicles, or the log times are"
+            " wrong as well; record each vehicle with a name or a topic of its own"
+        )
+    rows = rows[~again]
+    return rows[np.argsort(rows["stamp_ns"], kind="stable")]
+
+
+def _check_followed(path: Path, parts: Sequence[_Rows]) -> None:
+    """Raise InputError where most sightings are of vehicles that are seen once or twice: their ids do not stay."""
+    often = [len(own) for part in parts for own in _by_vehicle(part)]
+    seldom = [number for number in often if number < _FEW]
+    if sum(seldom) > 0.5 * sum(often):
+        raise InputError(
+            f"{path}: {len(seldom)} ids are seen once or twice each, so nobody can be followed; give the messages of a"
+            " tracker, whose ids stay with the vehicles"
+        )
+
+
+# --- frames and directions
+
+
+class _Transforms(NamedTuple):
+    """A message with transforms, whether they are static, and its log time [ns]."""
+
+    message: Any
+    static: bool
+    log_ns: int
+
+
+def _transforms(bag: BagSource) -> Iterator[_Transforms]:
     """Transforms of a bag; the static ones first, since they hold from the beginning."""
-    topics = {topic.name for topic in bag.info().topics if topic.count and ros2_name(topic.type) in TF_TYPES}
+    types = (TF_TYPE, _OLD_TF_TYPE)
+    topics = {topic.name for topic in bag.info().topics if topic.count and ros2_name(topic.type) in types}
     for static in (True, False):
-        wanted = {name for name in topics if TF_TOPICS.get(name) is static}
-        for message in bag.messages(wanted) if wanted else ():
-            if isinstance(message.message, bytes):
-                raise InputError(f"{bag.path}: {message.topic}: {bag.undecoded[message.topic]}")
-            yield Transforms(message.message, static, message.log_time_ns)
+        wanted = [name for name in topics if TF_TOPICS.get(name) is static]
+        for message in _messages(bag, wanted) if wanted else ():
+            yield _Transforms(message.message, static, -1 if static else message.log_time_ns)
 
 
-def _check_frames(bag: BagSource, sightings: Sightings, frame: str) -> None:
+def _check_frames(bag: BagSource, frames: Sequence[str], frame: str) -> None:
     """Raise InputError where positions are in several frames, or in one that moves, and no frame is given."""
-    names = [name for name in sightings.frames if name]
+    names = [name for name in frames if name]
     if frame or not names:
         return
     known = Frames()
@@ -363,46 +327,206 @@ def _check_frames(bag: BagSource, sightings: Sightings, frame: str) -> None:
         )
 
 
+def _in_frame(rows: _Rows, frames: Sequence[str], transforms: Iterator[_Transforms], frame: str) -> _Rows:
+    """The sightings that transforms bring into a frame, in the order in which they stand."""
+    if not frame:
+        return rows
+    known, place = Frames(frame), {}
+    in_log = np.argsort(rows["log_ns"], kind="stable")
+    sightings = (
+        (log_ns, partial(known.take, [SeenVehicle(stamp_ns, str(k), x, y, heading, frame=frames[own])]))
+        for k, (stamp_ns, log_ns, x, y, heading, _, _, _, own, _) in zip(
+            in_log.tolist(), rows[in_log].tolist(), strict=True
+        )
+    )
+    heard = ((one.log_ns, partial(known.hear, one.message, one.static)) for one in transforms)
+    for _, act in merge(heard, sightings, key=itemgetter(0)):
+        place.update({int(seen.name): (seen.x_m, seen.y_m, seen.heading) for seen in act()})
+    kept = sorted(place)
+    rows = rows[kept]
+    for name, values in zip(("x_m", "y_m", "heading"), zip(*(place[k] for k in kept), strict=True), strict=False):
+        rows[name] = values
+    return rows
+
+
+def _directed(rows: _Rows) -> _Rows:
+    """The same, with the direction in which a vehicle moves where it does not say in which direction it points."""
+    rows = rows.copy()
+    for own in _by_vehicle(rows):
+        unknown = np.isnan(rows["heading"][own])
+        if unknown.any() and len(own) > 1:
+            time_s = (rows["stamp_ns"][own] - rows["stamp_ns"][own[0]]) / NS
+            vx, vy = np.gradient(rows["x_m"][own], time_s), np.gradient(rows["y_m"][own], time_s)
+            fast = unknown & (np.hypot(vx, vy) > MOVING)
+            rows["heading"][own[fast]] = np.arctan2(vy, vx)[fast]
+    return rows
+
+
+# --- rows at regular times
+
+
+def _own_periods(parts: Sequence[_Rows]) -> list[float]:
+    """Usual time [s] between two sightings of each vehicle, from the shortest to the longest."""
+    each = (part["stamp_ns"][own] for part in parts for own in _by_vehicle(part) if len(own) >= _FEW)
+    return sorted(float(np.median(np.diff(stamp_ns) / NS)) for stamp_ns in each)
+
+
+def _rates_noted(periods: list[float], period_s: float) -> str:
+    """A warning where vehicles are seen at rates that differ, or less often than there are rows; empty otherwise."""
+    if not periods or max(periods[-1] / periods[0], periods[-1] / period_s) <= RATES_DIFFER:
+        return ""
+    return (
+        f"warning: vehicles were seen every {periods[0]:.3g} to {periods[-1]:.3g} s; in rows every {period_s:.3g} s,"
+        " positions in between are interpolated; --period sets another time"
+    )
+
+
+def _regular(rows: _Rows, period_s: float, lost: Counter[str]) -> _Rows:
+    """The vehicles at regular times, interpolated between their sightings, vehicle by vehicle.
+
+    A hole in which a vehicle was not seen for more than 0.5 s, or one and a half of its own periods if that is more,
+    stays a hole.
+    """
+    first_ns, parts = int(rows["stamp_ns"].min()), []
+    for own in _by_vehicle(rows):
+        step_s = np.diff(rows["stamp_ns"][own]) / NS
+        longest_s = max(LONGEST_HOLE_S, _PERIODS * float(np.median(step_s)) if len(step_s) else 0.0)
+        ends = np.flatnonzero(step_s > longest_s) + 1
+        lost["holes"] += len(ends)
+        for piece in np.split(own, ends):
+            at_steps, off_s = _at_steps(rows[piece], first_ns, period_s)
+            lost["alone"] += len(piece) == 1 and not len(at_steps)
+            lost["interpolated"] += int(np.sum(off_s > TICK_S))
+            parts.append(at_steps)
+    return np.concatenate(parts)
+
+
+def _at_steps(piece: _Rows, first_ns: int, period_s: float) -> tuple[_Rows, Array]:
+    """A piece of a vehicle's track at regular times, and the time [s] from each to the nearest sighting."""
+    time_s, near = (piece["stamp_ns"] - first_ns) / NS, TICK_S / period_s
+    step = np.arange(math.ceil(time_s[0] / period_s - near), math.floor(time_s[-1] / period_s + near) + 1)
+    at_s = np.clip(step * period_s, time_s[0], time_s[-1])
+    right = np.clip(np.searchsorted(time_s, at_s), 0, len(time_s) - 1)
+    left = np.maximum(right - 1, 0)
+    nearest = np.where(at_s - time_s[left] < time_s[right] - at_s, left, right)
+    rows = piece[nearest]
+    if len(piece) > 1:
+        for name in ("x_m", "y_m"):
+            rows[name] = CubicHermiteSpline(time_s, piece[name], np.gradient(piece[name], time_s))(at_s)
+    rows["stamp_ns"] = first_ns + np.round(step * (period_s * NS)).astype(np.int64)
+    return rows, np.abs(at_s - time_s[nearest])
+
+
+class _Placed(NamedTuple):
+    """Whether each of R rows is on the road (R,); lane, place [m] along and across, and leader of those that are.
+
+    ``leader`` is the number of a vehicle, `FREE` or `UNKNOWN`.
+    """
+
+    on_road: Mask
+    lane: Ints
+    s_m: Array
+    d_m: Array
+    leader: Ints
+
+
+def _placed(rows: _Rows, placer: Placer) -> _Placed:
+    """Put the vehicles on the road, one time after the other."""
+    on_road, lane = np.zeros(len(rows), dtype=bool), np.full(len(rows), -1, dtype=np.int64)
+    s_m, d_m = np.full(len(rows), np.nan), np.full(len(rows), np.nan)
+    order = np.argsort(rows["stamp_ns"], kind="stable")
+    for now in np.split(order, np.flatnonzero(np.diff(rows["stamp_ns"][order])) + 1) if len(order) else ():
+        here = rows[now]
+        seen = [
+            SeenVehicle(k, str(vehicle), x, y, heading)
+            for k, vehicle, x, y, heading in zip(
+                now.tolist(), *(here[name].tolist() for name in ("vehicle", "x_m", "y_m", "heading")), strict=True
+            )
+        ]
+        for one in placer.place(seen):
+            row = one.seen.stamp_ns
+            on_road[row], lane[row], s_m[row], d_m[row] = True, one.lane, one.s_m, one.d_m
+    leader = _leaders(rows, on_road, lane, s_m, placer.road) if on_road.any() else np.zeros(0, dtype=np.int64)
+    return _Placed(on_road, lane[on_road], s_m[on_road], d_m[on_road], leader)
+
+
+def _leaders(rows: _Rows, on_road: Mask, lane: Ints, s_m: Array, road: Road) -> Ints:
+    """Leader of each row on the road: the next vehicle ahead on its lane, `UNKNOWN` where another may be between.
+
+    A vehicle may drive on in its hole, and for a minute before and after it was seen, but not where it was seen beside
+    the road. So it gets more rows there, one a second or one a period, which lead nobody. Raises InputError.
+    """
+    at = np.flatnonzero(on_road)
+    vehicle, time_s, s_m = rows["vehicle"][at], (rows["stamp_ns"][at] - rows["stamp_ns"].min()) / NS, s_m[at]
+    step_s = np.diff(time_s)
+    goes_on = (np.diff(vehicle) == 0) & (np.diff(at) == 1) & (step_s <= LONGEST_ABSENCE_S)
+    speed = np.where(goes_on, road.difference(s_m[1:], s_m[:-1]) / np.where(goes_on, step_s, 1.0), 0.0)
+    speed = np.where(np.append(goes_on, False), np.append(speed, 0.0), np.append(0.0, speed))
+    same = np.diff(rows["vehicle"]) == 0
+    before = np.append(True, ~goes_on) & ~np.append(False, same & ~on_road[:-1])[at]
+    after = np.append(~goes_on, True) & ~np.append(same & ~on_road[1:], False)[at]
+    period_s = float(np.min(step_s[goes_on], initial=1.0))
+    each_s = max(1.0 // period_s, 1.0) * period_s
+    many = int(LONGEST_ABSENCE_S / each_s)
+    if LONGEST_ABSENCE_S / period_s * (before.sum() + after.sum()) > MOST_UNSEEN:
+        raise InputError("too many vehicles come and go to find their leaders; split the bag")
+    count = 1 + many * before + many * after
+    of = np.repeat(np.arange(len(at)), count)
+    away_s = each_s * (np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count) - many * before[of])
+    tracks = Tracks(
+        recording=same_label(len(of), ""),
+        vehicle=same_label(len(of), ""),
+        time_s=time_s[of] + away_s,
+        s_m=road.wrap(s_m[of] + speed[of] * away_s),
+        leader_row=np.full(len(of), UNKNOWN, dtype=np.int64),
+        start=starts(np.concatenate(([0], np.cumsum(~goes_on)))[of]),
+        length_m=np.zeros(len(of)),
+        about=About(view="whole", ring_m=road.circumference_m),
+        lane=labels(lane[at][of], map(str, range(int(lane.max()) + 1))),
+    )
+    found = find_leaders(tracks)[away_s == 0.0]
+    return np.where(found < 0, found, np.where(away_s[found] == 0.0, vehicle[of[found]], UNKNOWN))
+
+
 def _columns(
-    parts: list[Sightings], lanes: RoadLanes, settings: PerceptionSettings
-) -> tuple[dict[str, Any], _Lost, list[str]]:
-    """Columns of tracks, what was lost, and notes."""
-    periods = sorted(period for part in parts for period in _own_periods(part))
-    period_s = settings.period_s or _usual_period(periods)
-    numbers, number = Numbers(), lane_numbers(lanes)
-    texts = ("recording", "vehicle", "lane", "leader")
-    columns: dict[str, list[Any]] = {name: [] for name in (*_OF_ROWS, "time_s", *texts)}
-    losts = []
-    for k, part in enumerate(parts):
-        grid = _Grid(int(part.stamp_ns.min()), period_s)
-        rows, lost = _rows_of(part, grid, Placer(lanes))
-        losts.append(lost)
-        for name in _OF_ROWS:
-            columns[name].extend(getattr(rows, name).tolist())
-        name_of = {v: str(numbers(part.vehicles[v])) for v in dict.fromkeys(part.vehicle.tolist())}
-        columns["time_s"].extend((1e-9 * (grid.first_ns + np.round(rows.step * (period_s * 1e9)))).tolist())
-        columns["recording"].extend([str(k + 1)] * len(rows.step))
-        columns["vehicle"].extend(name_of[v] for v in rows.vehicle.tolist())
-        columns["lane"].extend(str(number[lane]) for lane in rows.lane.tolist())
-        columns["leader"].extend(_LEADERS.get(v) if v < 0 else name_of[v] for v in rows.leader.tolist())
-    lost = _Lost(*(sum(values) for values in zip(*losts, strict=True)))
-    made = {name: np.array(values) if name not in texts else values for name, values in columns.items()}
-    return made, lost, [_rates_noted(periods, period_s), *_notes(lost, len(columns["s_m"]), len(parts))]
+    regular: Sequence[_Rows], placed: Sequence[_Placed], names: _Names, lanes: RoadLanes
+) -> dict[str, Labels | Array]:
+    """Columns of tracks."""
+    rows = np.concatenate([part[one.on_road] for part, one in zip(regular, placed, strict=True)])
+    lane, s_m, d_m, leader = (np.concatenate(columns) for columns in zip(*(one[1:] for one in placed), strict=True))
+    number = Numbers()
+    first_seen = np.concatenate([part[np.argsort(part["stamp_ns"], kind="stable")]["vehicle"] for part in regular])
+    for vehicle in dict.fromkeys(first_seen.tolist()):
+        number(names["vehicle"][vehicle])
+    vehicles, nobody = [str(number(name)) for name in names["vehicle"]], len(names["vehicle"])
+    kind = np.where(np.array([bool(name) for name in names["class"]])[rows["class"]], rows["class"], -1)
+    part = np.repeat(np.arange(len(placed)), [int(one.on_road.sum()) for one in placed])
+    columns: dict[str, Labels | Array] = {"class": labels(kind, names["class"])} if any(names["class"]) else {}
+    return columns | {
+        "recording": labels(part, [str(k + 1) for k in range(len(placed))]),
+        "vehicle": labels(rows["vehicle"], vehicles),
+        "lane": labels(lane, map(str, lane_numbers(lanes))),
+        "leader": labels(np.where(leader == FREE, nobody, np.maximum(leader, -1)), [*vehicles, NOBODY]),
+        "time_s": 1e-9 * rows["stamp_ns"],
+        "s_m": s_m,
+        "d_m": d_m,
+        "length_m": rows["length_m"],
+    }
 
 
-def _notes(lost: _Lost, rows: int, parts: int) -> Iterator[str]:
-    if lost.interpolated:
-        yield f"{100.0 * lost.interpolated / (rows + lost.beside):.3g} % of the positions are interpolated"
-    if lost.holes:
+def _notes(lost: Counter[str], rows: int, parts: int) -> Iterator[str]:
+    if lost["interpolated"]:
+        yield f"{100.0 * lost['interpolated'] / rows:.3g} % of the positions are interpolated"
+    if lost["holes"]:
         yield (
-            f"{lost.holes} times a vehicle was not seen for more than 0.5 s and 1.5 of its periods; whoever followed"
+            f"{lost['holes']} times a vehicle was not seen for more than 0.5 s and 1.5 of its periods; whoever followed"
             " it then has an unknown leader"
         )
     if parts > 1:
         yield f"warning: time begins anew {parts - 1} times, as in a simulation that is reset; each part is a recording"
 
 
-def _about(path: Path, first: Path, lanes: RoadLanes, counts: Counts, lost: _Lost) -> About:
+def _about(path: Path, first: Path, lanes: RoadLanes, counts: Counts, lost: Counter[str]) -> About:
     """Where the tracks come from, and what was left out."""
     about = About(
         leaders="given",
@@ -412,11 +536,11 @@ def _about(path: Path, first: Path, lanes: RoadLanes, counts: Counts, lost: _Los
         sha256=checksum_of(first),
     )
     for reason, rows in (
-        ("beside the road", lost.beside + counts.beside),
+        ("beside the road", lost["beside"] + counts.beside),
         ("without a transform to the frame", counts.unknown_frame),
         ("without an id", counts.unnamed),
         ("with the id of another one", counts.doubled),
-        ("seen once, between two times", lost.alone),
+        ("seen once, between two times", lost["alone"]),
     ):
         about = about.without(reason, rows)
     return about

@@ -87,7 +87,7 @@ def convert(options: ConvertOptions) -> None:
 
 def _convert_seen(options: ConvertOptions) -> None:
     """Convert what a perception has seen to tracks."""
-    from sugiyama_ros.bridges.fields import read_bridge
+    from sugiyama_ros.bridges.bridge import read_bridge
     from sugiyama_ros.bridges.from_bag import tracks_of_bag
     from sugiyama_ros.bridges.perception import PerceptionSettings
     from sugiyama_ros.formats.centre_line import read_lanes

@@ -15,10 +15,11 @@ from sugiyama_ros.formats.measured import stamp_ns
 from sugiyama_ros.formats.registry import format_of, known_suffixes, read_tracks, read_trajectories
 from sugiyama_ros.formats.truth import read_truth
 from sugiyama_ros.nodes.base.node import PacedNode
-from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER, Positions, PositionSamples
+from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER, PositionSamples
 from sugiyama_ros.nodes.base.spin import run_node
 from sugiyama_ros.nodes.source import Source, TrueTopics, answer
 from sugiyama_ros.road import Road
+from sugiyama_ros.trajectories.placing import Positions
 from sugiyama_ros.trajectories.time_base import on_time_base, period_of
 from sugiyama_ros.trajectories.tracks import FREE, Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories

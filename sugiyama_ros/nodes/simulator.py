@@ -19,12 +19,12 @@ from sugiyama_ros.nodes.base.cdr_messages import NS
 from sugiyama_ros.nodes.base.incoming import RefusedError
 from sugiyama_ros.nodes.base.node import ERROR, Health
 from sugiyama_ros.nodes.base.parameters import declare_driver
-from sugiyama_ros.nodes.base.samples import Positions
 from sugiyama_ros.nodes.base.spin import run_node
 from sugiyama_ros.nodes.source import Source, TrueTopics, answer
 from sugiyama_ros.simulation.experiment import Experiment, changed, set_up
 from sugiyama_ros.simulation.result import parameters_of
 from sugiyama_ros.simulation.simulator import Simulator
+from sugiyama_ros.trajectories.placing import Positions
 from sugiyama_ros.trajectories.truth import TrueDriver
 
 

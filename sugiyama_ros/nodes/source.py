@@ -25,8 +25,9 @@ from sugiyama_ros.nodes.base import cdr_messages, environment
 from sugiyama_ros.nodes.base.cdr_messages import NS, time_message
 from sugiyama_ros.nodes.base.node import ERROR, OK, RECORDER, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.qos import LATCHED, PROGRESS_IN, STREAM, WINDOW
-from sugiyama_ros.nodes.base.samples import Positions, PositionSamples
+from sugiyama_ros.nodes.base.samples import PositionSamples
 from sugiyama_ros.road import Road
+from sugiyama_ros.trajectories.placing import Positions
 from sugiyama_ros.trajectories.truth import TrueDriver
 
 _TICK_S = 0.005

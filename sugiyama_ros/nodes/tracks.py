@@ -10,16 +10,15 @@ from typing import Any
 from sugiyama_msgs.msg import MeasuredPositions
 from sugiyama_msgs.msg import Road as RoadMessage
 
-from sugiyama_ros.bridges.fields import Bridge, read_bridge
-from sugiyama_ros.bridges.perception import TF_TOPICS, TF_TYPE, Perception, PerceptionSettings, RoadSample
-from sugiyama_ros.bridges.registry import BRIDGES
+from sugiyama_ros.bridges.bridge import BRIDGES, Bridge, read_bridge
+from sugiyama_ros.bridges.frames import TF_TOPICS, TF_TYPE
+from sugiyama_ros.bridges.perception import Perception, PerceptionSettings, RoadSample
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.centre_line import read_lanes
 from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.node import OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM, offered
-from sugiyama_ros.nodes.base.samples import Positions
 from sugiyama_ros.nodes.base.spin import run_node
 from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M
 
@@ -60,8 +59,8 @@ class TracksNode(PacedNode):
 
     def health(self) -> Health:
         """WARN without a topic, without a vehicle on the road, or where much of what is seen is lost."""
-        counts = self._perception.moments.counts
-        periods = self._perception.moments.periods_s
+        counts = self._perception.counts
+        periods = self._perception.periods_s
         values = {"topics": self._sources, "samples": self.steps, **vars(counts)}
         if periods:
             values["periods of vehicles [s]"] = f"{periods[0]:.3g} to {periods[-1]:.3g}"
@@ -115,12 +114,9 @@ class TracksNode(PacedNode):
             self.refuse(topic, error)
 
     def _send(self, sample: RoadSample) -> None:
-        s = sample
-        positions = Positions(
-            s.vehicle, s.leader, s.position_m, s.length_m, s.lane, s.d_m, s.stamp_offset_s, s.position_var
-        )
-        self.send(self._to_measured, cdr_messages.measured_positions(s.stamp_ns, s.step, positions))
-        self.taken(s.step + 1)
+        message = cdr_messages.measured_positions(sample.stamp_ns, sample.step, sample.positions)
+        self.send(self._to_measured, message)
+        self.taken(sample.step + 1)
 
     def _send_road(self, period_s: float) -> None:
         message = RoadMessage(

@@ -37,6 +37,25 @@ class SeenVehicle:
     frame: str = ""
 
 
+class Positions(NamedTuple):
+    """One sample of all vehicles on the road, one entry for each vehicle.
+
+    vehicle, leader: number of the vehicle, and number of its leader: -1 without a leader, -2 where it is not in view;
+    position_m, length_m: position [m] (NaN if missing) and length [m]; lane, d_m, stamp_offset_s, position_var: lane,
+    position [m] across the road, time [s] at which the vehicle was measured after the sample's own, and variance [m^2]
+    of the position; each is empty where the source does not know it.
+    """
+
+    vehicle: list[int]
+    leader: list[int]
+    position_m: list[float]
+    length_m: list[float]
+    lane: Sequence[int] = ()
+    d_m: Sequence[float] = ()
+    stamp_offset_s: Sequence[float] = ()
+    position_var: Sequence[float] = ()
+
+
 class OnLane(NamedTuple):
     """A vehicle on the road.
 

@@ -27,13 +27,13 @@ from sugiyama_ros.filters.online import OnlineFilter
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.nodes.base import cdr_messages, incoming
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
-from sugiyama_ros.nodes.base.samples import Positions
 from sugiyama_ros.nodes.base.spin import ros
 from sugiyama_ros.nodes.critic import Critic
 from sugiyama_ros.nodes.estimator import Estimator
 from sugiyama_ros.nodes.keeper import kept_in, read_learnt
 from sugiyama_ros.nodes.recorder import Recorder
 from sugiyama_ros.nodes.view import BaseModel
+from sugiyama_ros.trajectories.placing import Positions
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(90)]
 PERIOD_S, RING_M = 0.5, 100.0

@@ -10,9 +10,10 @@ from visualization_msgs.msg import Marker, MarkerArray
 from sugiyama_ros.filters.online import Estimate
 from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.nodes.base import cdr_messages
-from sugiyama_ros.nodes.base.samples import Positions, Sample
+from sugiyama_ros.nodes.base.samples import Sample
 from sugiyama_ros.nodes.source import Markers
 from sugiyama_ros.road import Road
+from sugiyama_ros.trajectories.placing import Positions
 
 
 def an_estimate(seed: int) -> Estimate:

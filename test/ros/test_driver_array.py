@@ -16,10 +16,10 @@ from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.cdr_messages import SEVEN_DIGITS, ArrayWriter, KnownDriver, ParameterNames
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
-from sugiyama_ros.nodes.base.samples import Positions
 from sugiyama_ros.nodes.estimator import Estimator
 from sugiyama_ros.nodes.run import run
 from sugiyama_ros.page.recording import read_recording
+from sugiyama_ros.trajectories.placing import Positions
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
 STATE = ("position_m", "speed", "acceleration", "mean_action", "gap_m", "approach_rate")

@@ -7,8 +7,8 @@ from sugiyama_msgs.msg import Road as RoadMessage
 
 from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
-from sugiyama_ros.nodes.base.samples import Positions
 from sugiyama_ros.nodes.estimator import Estimator
+from sugiyama_ros.trajectories.placing import Positions
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
 

@@ -25,8 +25,8 @@ from sugiyama_ros.nodes import recorder as recorder_module
 from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.node import ERROR
 from sugiyama_ros.nodes.base.qos import STREAM, reliable
-from sugiyama_ros.nodes.base.samples import Positions
 from sugiyama_ros.nodes.recorder import Recorder
+from sugiyama_ros.trajectories.placing import Positions
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
 

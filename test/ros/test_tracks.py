@@ -159,7 +159,7 @@ def test_odometry_becomes_vehicles_on_lanes_with_leaders_in_one_bag(stage, tmp_p
     assert list(map(str, kept)) == list(map(str, world.drivers))
     check_drivers(kept, drivers)
     assert node.health().level == OK
-    assert vars(node._perception.moments.counts)["late"] == 0
+    assert node._perception.counts.late == 0
     assert world.roads[0].period_s == 0.1
     live = check_samples(world.samples)
     check_converted(live, bag, line, tmp_path / "tracks.parquet")

@@ -519,6 +519,10 @@ def test_positions_in_frames_of_their_own(tmp_path: Path) -> None:
     bridge = tmp_path / "odometry.yaml"
     bridge.write_text(f"type: {ODOMETRY}\nx: pose.pose.position.x\ny: pose.pose.position.y\nframe: ''\n")
     check(converted(tmp_path / "a.mcap", ODOM, "--bridge", bridge)[0], unknown=0.001)
+    bridge.write_text(bridge.read_text() + "vehicle_class: header.frame_id\n")
+    tracks, _ = converted(tmp_path / "a.mcap", ODOM, "--bridge", bridge)
+    assert tracks.vehicle_class is not None
+    assert tracks.vehicle_class.used() == tuple(f"car{car}/odom" for car in range(CARS))
     fixed = [transforms(every(1.0), lambda _: (0.0, 0.0, 0.0), child=f"car{car}/odom") for car in range(CARS)]
     check(converted(write(tmp_path / "a.mcap", *feeds, *fixed), ODOM, "--frame", "map")[0])
     said = refused(write(tmp_path / "b.mcap", *feeds), ODOM, "--frame", "map")

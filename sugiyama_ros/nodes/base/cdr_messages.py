@@ -19,7 +19,8 @@ from sugiyama_msgs.msg import DriverArray, DriverParameters
 from sugiyama_ros.arrays import Array, Mask, selection
 from sugiyama_ros.filters.online import Estimate
 from sugiyama_ros.formats.measured import FRAME
-from sugiyama_ros.nodes.base.samples import Positions, Sample
+from sugiyama_ros.nodes.base.samples import Sample
+from sugiyama_ros.trajectories.placing import Positions
 
 NS = 1_000_000_000
 

@@ -6,30 +6,12 @@ from typing import NamedTuple, Protocol
 
 from sugiyama_ros.filters.online import NOBODY
 from sugiyama_ros.road import Road
+from sugiyama_ros.trajectories.placing import Positions
 
 #: Leader of a vehicle whose leader is not in view; nobody knows whether there is one.
 UNKNOWN_LEADER = -2
 #: Length [m] that no vehicle has.
 LONGEST_M = 1000.0
-
-
-class Positions(NamedTuple):
-    """One sample of all vehicles on the road, one entry for each vehicle.
-
-    vehicle, leader: number of the vehicle, and number of its leader: -1 without a leader, `UNKNOWN_LEADER` where it is
-    not in view; position_m, length_m: position [m] (NaN if missing) and length [m]; lane, d_m, stamp_offset_s,
-    position_var: lane, position [m] across the road, time [s] at which the vehicle was measured after the sample's own,
-    and variance [m^2] of the position; each is empty where the source does not know it.
-    """
-
-    vehicle: list[int]
-    leader: list[int]
-    position_m: list[float]
-    length_m: list[float]
-    lane: Sequence[int] = ()
-    d_m: Sequence[float] = ()
-    stamp_offset_s: Sequence[float] = ()
-    position_var: Sequence[float] = ()
 
 
 class Sample(NamedTuple):

@@ -1,8 +1,9 @@
-"""Which fields of a message say what about a vehicle: the whole of a bridge."""
+"""Which fields of a message say what about a vehicle, one entry for each type of message."""
 
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,8 @@ from sugiyama_ros.trajectories.placing import SeenVehicle
 
 #: A second [ns].
 NS = 1_000_000_000
+# Length [m] beyond which a vehicle is none.
+_LONGEST_M = 100.0
 # Names of fields that an error shows, at most.
 _SHOWN = 12
 _TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
@@ -72,21 +75,21 @@ class Bridge:
 
         log_ns: log time, or time of receipt [ns]. Raises InputError.
         """
-        objects = look_up(message, self.objects, self) if self.objects else [message]
+        objects = _look_up(message, self.objects, self) if self.objects else [message]
         if not isinstance(objects, Iterable):
             raise InputError(f"{self.type}: {self.objects} is no list; name the list, or leave out objects")
         for one in objects:
-            name = _name(look_up(one, self.id, self)) if self.id else ""
+            name = _name(_look_up(one, self.id, self)) if self.id else ""
             yield SeenVehicle(
-                stamp_ns=self._stamp(one, message) if self.stamp else log_ns,
+                stamp_ns=self._either(one, message, self.stamp, self._stamp_ns) if self.stamp else log_ns,
                 name=f"{topic} {name}" if name else "" if self.id else topic,
                 x_m=self._real(one, self.x),
                 y_m=self._real(one, self.y),
                 heading=self._heading(one),
-                length_m=self._number(one, self.length),
+                length_m=self._number(one, self.length, _LONGEST_M),
                 var=self._number(one, self.var),
-                vehicle_class=str(look_up(one, self.vehicle_class, self)) if self.vehicle_class else "",
-                frame=self._frame(one, message) if self.frame else "",
+                vehicle_class=str(_look_up(one, self.vehicle_class, self)) if self.vehicle_class else "",
+                frame=self._either(one, message, self.frame, str).lstrip("/") if self.frame else "",
             )
 
     def _heading(self, one: Any) -> float:
@@ -99,7 +102,7 @@ class Bridge:
             return math.radians(angle) if self.heading_unit == "deg" else angle
         if not self.orientation:
             return math.nan
-        quaternion = look_up(one, self.orientation, self)
+        quaternion = _look_up(one, self.orientation, self)
         if hasattr(quaternion, "x"):
             return yaw(*(self._real(quaternion, name) for name in "xyzw"))
         if not self.orientation_order:
@@ -109,15 +112,15 @@ class Bridge:
         order = [self.orientation_order.index(name) for name in "xyzw"]
         return yaw(*(self._real(one, f"{self.orientation}[{k}]") for k in order))
 
-    def _number(self, one: Any, path: str) -> float:
-        """A positive number; NaN where the message does not know it, as it says with a 0."""
+    def _number(self, one: Any, path: str, most: float = math.inf) -> float:
+        """A positive number below ``most``; NaN where the message does not know it, as it says with a 0."""
         value = self._real(one, path) if path else math.nan
-        return value if value > 0.0 else math.nan
+        return value if 0.0 < value < most else math.nan
 
     def _real(self, one: Any, path: str) -> float:
         """A number. Raises InputError where the message has something else there."""
         try:
-            return float(look_up(one, path, self))
+            return float(_look_up(one, path, self))
         except (TypeError, ValueError, OverflowError):
             raise InputError(f"{self.type}: {path} is no number; correct the bridge") from None
 
@@ -132,23 +135,17 @@ class Bridge:
         except (AttributeError, TypeError, ValueError, OverflowError):
             raise InputError(f"{self.type}: {self.stamp} is no time; correct the bridge") from None
 
-    def _stamp(self, one: Any, message: Any) -> int:
-        """Stamp [ns] of the object; that of the message where the object has none, or 0."""
-        own = self._stamp_ns(self._either(one, message, self.stamp))
-        return own or self._stamp_ns(self._either(message, one, self.stamp))
-
-    def _frame(self, one: Any, message: Any) -> str:
-        """Frame of the object; that of the message where the object has none, or an empty one."""
-        return str(self._either(one, message, self.frame) or self._either(message, one, self.frame))
-
-    def _either(self, one: Any, other: Any, path: str) -> Any:
-        try:
-            return look_up(one, path, self)
-        except InputError:
-            return look_up(other, path, self)
+    def _either(self, one: Any, message: Any, path: str, read: Callable[[Any], Any]) -> Any:
+        """What the object says; what the message says where the object has no such field, or 0 or nothing in it."""
+        found = []
+        for source in (one, message):
+            with suppress(InputError):
+                found.append(_look_up(source, path, self))
+        said = [read(value) for value in found or [_look_up(message, path, self)]]
+        return said[0] or said[-1]
 
 
-def look_up(message: Any, path: str, bridge: Bridge) -> Any:
+def _look_up(message: Any, path: str, bridge: Bridge) -> Any:
     """A field of a message by its path. Raises InputError where there is none."""
     found = message
     for part in path.split("."):
@@ -211,3 +208,52 @@ def _name(value: Any) -> str:
     if isinstance(value, (float, np.floating)) and value.is_integer():
         return str(int(value))
     return str(value).strip()
+
+
+#: What the messages of other packages say, by their type.
+BRIDGES = {
+    bridge.type: bridge
+    for bridge in (
+        # One vehicle on each topic, as robots and simulators publish it.
+        Bridge(
+            type="nav_msgs/msg/Odometry",
+            x="pose.pose.position.x",
+            y="pose.pose.position.y",
+            orientation="pose.pose.orientation",
+            var="pose.covariance[0]",
+        ),
+        # Boxes of a detector that also tracks: the ids stay with their objects.
+        Bridge(
+            type="vision_msgs/msg/Detection3DArray",
+            objects="detections",
+            id="id",
+            x="bbox.center.position.x",
+            y="bbox.center.position.y",
+            orientation="bbox.center.orientation",
+            length="bbox.size.x",
+        ),
+        # Objects that Autoware tracks. Their direction does not count where its sign is unknown.
+        Bridge(
+            type="autoware_perception_msgs/msg/TrackedObjects",
+            objects="objects",
+            id="object_id",
+            x="kinematics.pose_with_covariance.pose.position.x",
+            y="kinematics.pose_with_covariance.pose.position.y",
+            orientation="kinematics.pose_with_covariance.pose.orientation",
+            heading_known="kinematics.orientation_availability=2",
+            var="kinematics.pose_with_covariance.covariance[0]",
+            length="shape.dimensions.x",
+        ),
+        # Objects of derived_object_msgs, as CARLA publishes them.
+        Bridge(
+            type="derived_object_msgs/msg/ObjectArray",
+            objects="objects",
+            id="id",
+            x="pose.position.x",
+            y="pose.position.y",
+            orientation="pose.orientation",
+            length="shape.dimensions[0]",
+            vehicle_class="classification",
+        ),
+    )
+}
