@@ -417,7 +417,7 @@ def _at_steps(piece: _Rows, first_ns: int, period_s: float) -> tuple[_Rows, Arra
     return rows, np.abs(at_s - time_s[nearest])
 
 
-class _Placed(NamedTuple):
+class _OnRoad(NamedTuple):
     """Whether each of R rows is on the road (R,); lane, place [m] along and across, and leader of those that are.
 
     ``leader`` is the number of a vehicle, `FREE` or `UNKNOWN`.
@@ -430,7 +430,7 @@ class _Placed(NamedTuple):
     leader: Ints
 
 
-def _placed(rows: _Rows, placer: Placer) -> _Placed:
+def _placed(rows: _Rows, placer: Placer) -> _OnRoad:
     """Put the vehicles on the road, one time after the other."""
     on_road, lane = np.zeros(len(rows), dtype=bool), np.full(len(rows), -1, dtype=np.int64)
     s_m, d_m = np.full(len(rows), np.nan), np.full(len(rows), np.nan)
@@ -447,7 +447,7 @@ def _placed(rows: _Rows, placer: Placer) -> _Placed:
             row = one.seen.stamp_ns
             on_road[row], lane[row], s_m[row], d_m[row] = True, one.lane, one.s_m, one.d_m
     leader = _leaders(rows, on_road, lane, s_m, placer.road) if on_road.any() else np.zeros(0, dtype=np.int64)
-    return _Placed(on_road, lane[on_road], s_m[on_road], d_m[on_road], leader)
+    return _OnRoad(on_road, lane[on_road], s_m[on_road], d_m[on_road], leader)
 
 
 def _leaders(rows: _Rows, on_road: Mask, lane: Ints, s_m: Array, road: Road) -> Ints:
@@ -489,7 +489,7 @@ def _leaders(rows: _Rows, on_road: Mask, lane: Ints, s_m: Array, road: Road) -> 
 
 
 def _columns(
-    regular: Sequence[_Rows], placed: Sequence[_Placed], names: _Names, lanes: RoadLanes
+    regular: Sequence[_Rows], placed: Sequence[_OnRoad], names: _Names, lanes: RoadLanes
 ) -> dict[str, Labels | Array]:
     """Columns of tracks."""
     rows = np.concatenate([part[one.on_road] for part, one in zip(regular, placed, strict=True)])
