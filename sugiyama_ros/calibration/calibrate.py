@@ -12,7 +12,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.classes import find_classes
 from sugiyama_ros.fit.driver import Fit, JobMaker, SearchOptions, each_of
 from sugiyama_ros.fit.smooth_positions import evenness
-from sugiyama_ros.fit.standard_errors import quadratic
+from sugiyama_ros.fit.standard_errors import is_determined, quadratic
 from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.progress import OnProgress
 from sugiyama_ros.trajectories.tracks import Tracks
@@ -120,10 +120,13 @@ def pooled(trajectories: Trajectories, settings: Settings, work: Executor) -> Ca
     if settings.law != PAPERS:
         settings = replace(settings, estimated=names)
     prior = np.array(fitted.model.prior_std)
-    # a parameter is identified if its standard deviation, beside all others, is less than half of the prior's
+    # a parameter is identified if the driver's own samples halve the prior's standard deviation at least, and if what
+    # is left, beside all other parameters and drivers, is less than half of the value
     own_information = (s.information.sum(axis=0)[: len(names), : len(names)] for s in fitted.slopes)
-    known = [np.diag(np.linalg.inv(one + np.diag(prior**-2.0))) < 0.25 * prior**2 for one in own_information]
+    known = np.array([np.diag(np.linalg.inv(h + np.diag(prior**-2.0))) < 0.25 * prior**2 for h in own_information])
     stds = np.array([[s.get(name, 0.0) for name in ROW.entries] for s in own])
+    places = list(fitted.model.individual)
+    known &= is_determined(stds[:, places], fitted.model.rows[:, places])
     return Calibration(
         settings=settings,
         drivers=_drivers(trajectories),

@@ -31,6 +31,9 @@ _NOISES = Candidate("noises", "noises", "noise", tuple(map(index, FREED)), ({},)
 
 def base_model(data: Recorded, work: Executor, law: str = PAPERS) -> tuple[Recorded, JointFit]:
     """Fit the base model, and fit the noises of position and speed as well if that is clearly better."""
+    if law != PAPERS and not data.even.frees_noises:
+        # the fixed noises are those of the paper's drivers; drivers of another law have their own
+        data = replace(data, even=data.even._replace(has_other_noises=True))
     base = in_filter(data, law, work)
     if data.even.frees_noises:
         return data, base

@@ -383,7 +383,10 @@ def _told(bench: _Bench, first: Entry, found: _Scored, names: Sequence[str]) -> 
 def _fitted(bench: _Bench, current: Entry, candidate: Candidate, found: _Scored) -> Entry:
     """The model with a candidate."""
     fit = refined(bench.data, current.fit, candidate, found.by_name.get(candidate.name, ()), bench.work)
-    return bench.entry(candidate.name, (*current.added, candidate), fit, current.models)
+    added = (*current.added, candidate)
+    if fit is current.fit:  # nothing was found
+        return Entry(candidate.name, added, fit, current.models, current.forecasts)
+    return bench.entry(candidate.name, added, fit, current.models)
 
 
 def _other_forms(bench: _Bench, current: Entry, found: _Scored, fitted: Sequence[Entry]) -> list[Entry]:
@@ -405,9 +408,10 @@ def _round(bench: _Bench, current: Entry, found: _Scored) -> Round:
         bench.on_progress(f"round {len(current.added) + 1}: fitting", number, len(worth))
         entry = _fitted(bench, current, candidate, found)
         won[entry] = entry.over(bench.data, current)
-    # of the best mechanism, all forms
+    # of the best mechanism, all forms: what only some drivers seem to have, all of them may have as well
     if won:
-        first = _best(bench, won)[0] or max(won, key=lambda e: (-e.added[-1].rank, won[e]["all"].nats))
+        leading = sorted(won, key=lambda e: (e.added[-1].rank, -won[e]["all"].nats))
+        first = (_allowed(won) or leading)[0]
         fitted = [first, *(e for e in won if e is not first)]
         won |= {e: e.over(bench.data, current) for e in _other_forms(bench, current, found, fitted)}
     added, alike = _best(bench, won)
@@ -435,6 +439,13 @@ def _without_needless(bench: _Bench, current: Entry, entry: Entry) -> Entry:
     return entry
 
 
+def _allowed(won: dict[Entry, dict[str, Difference]]) -> list[Entry]:
+    """The models that may be added, the best one first: they are better, make sense, and no other kind goes before."""
+    allowed = [e for e in won if is_better(won[e]) and e.makes_sense]
+    rank = min((e.added[-1].rank for e in allowed), default=0)
+    return sorted((e for e in allowed if e.added[-1].rank == rank), key=lambda e: -won[e]["all"].nats)
+
+
 def _best(bench: _Bench, won: dict[Entry, dict[str, Difference]]) -> tuple[Entry | None, list[Entry]]:
     """The model that gains most, of those that are better; and what cannot be told apart from it; won: gain of each.
 
@@ -442,12 +453,10 @@ def _best(bench: _Bench, won: dict[Entry, dict[str, Difference]]) -> tuple[Entry
     else is missing shows in them, too. Among models that cannot be told apart, what all drivers have goes before what
     some have.
     """
-    allowed = [e for e in won if is_better(won[e]) and e.makes_sense]
+    allowed = _allowed(won)
     if not allowed:
         return None, []
-    rank = min(e.added[-1].rank for e in allowed)
-    allowed = [e for e in allowed if e.added[-1].rank == rank]
-    first = max(allowed, key=lambda e: won[e]["all"].nats)
+    first = allowed[0]
     alike = [e for e in won if e is first or not first.over(bench.data, e)["all"].is_clear]
     addable = [e for e in alike if e in allowed]
     best = min(addable, key=lambda e: (bool(e.added[-1].drivers), -won[e]["all"].nats))

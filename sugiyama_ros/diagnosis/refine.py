@@ -10,9 +10,10 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import Candidate, candidates, chosen, with_candidate
 from sugiyama_ros.diagnosis.score import Score, ScoreOfSome, scores
 from sugiyama_ros.effects.registry import ROW
-from sugiyama_ros.fit.joint import JointFit, at_model, maximise, objective, renewed
+from sugiyama_ros.fit.joint import JointFit, at_model, maximise, objective, renewed, rise
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.fit.scoring import is_linear
 from sugiyama_ros.fit.slopes import no_density
 
 # Steps of a full fit, how often it computes its derivatives again, and steps of a fit without a fold, which is near.
@@ -20,14 +21,27 @@ _STEPS, _RENEWALS, _STEPS_WITHOUT = 12, 2, 3
 
 
 def refined(data: Recorded, fitted: JointFit, candidate: Candidate, found: Sequence[Score], work: Executor) -> JointFit:
-    """Add a candidate to a fitted model, and fit the new model in full."""
+    """Add a candidate to a fitted model, and fit the new model in full.
+
+    Where the candidate does nothing, or does not make the model better, the fitted model itself is returned.
+    """
     # another start of what some drivers have would be of other drivers
     near = [one for one in found[:2] if one.candidate.drivers == candidate.drivers]
     tried = [model for one in near for model in _starts(fitted.model, one)]
     tried = tried or [with_candidate(fitted.model, candidate, start) for start in candidate.starts]
     there = [_beside(data, fitted, model, work) for model in tried]
     start = max(there, key=lambda one: objective(one.slopes, one.model, range(FOLDS)))
-    return replace(_maximised(data, start, work), beside=fitted if start.model.held else None)
+    found_there = _maximised(data, start, work)
+    if _does_nothing(data, found_there.model, candidate) or rise(fitted, found_there) <= 0.0:
+        return fitted
+    return replace(found_there, beside=fitted if start.model.held else None)
+
+
+def _does_nothing(data: Recorded, model: Model, candidate: Candidate) -> bool:
+    """Whether all strengths of an effect are as small as a search lets them be."""
+    places = list(candidate.switches)
+    least = np.where(is_linear(places), 0.0, data.lower[places])
+    return bool(places) and bool((np.abs(model.rows[:, places]) <= least).all())
 
 
 def with_named(data: Recorded, fitted: JointFit, names: Sequence[str], work: Executor) -> JointFit:

@@ -27,7 +27,7 @@ from sugiyama_ros.fit.scoring import (
     value,
 )
 from sugiyama_ros.fit.smooth_positions import ESTIMATED, evenness, measured, with_short_periods
-from sugiyama_ros.fit.standard_errors import end_of_profile, quadratic, stds
+from sugiyama_ros.fit.standard_errors import end_of_profile, is_determined, quadratic, stds
 from sugiyama_ros.trajectories.trajectories import Trajectories
 from sugiyama_ros.workers import in_turn
 
@@ -128,8 +128,6 @@ START_SIGMA_A = 1.0
 _STARTS = ((1.0, 1.0), (0.7, 6.0), (2.2, 0.15), (0.7, 0.15))
 # A search ends when a step has a predicted gain below this [nats]; the causal likelihood is rough at small scales.
 _ENOUGH, _ENOUGH_CAUSAL = 1e-4, 0.02
-# A parameter does not count as identified if the std of its logarithm is larger than this.
-_VAGUE = 0.5
 
 
 @dataclass(frozen=True)
@@ -172,7 +170,7 @@ class Fit:
     def identified(self, name: str) -> bool:
         """Whether the data determine a parameter: it is not on a bound, and its std is less than half of its value."""
         k = index(name)
-        return name not in self.at_bound and bool(self.std[k] < _VAGUE * abs(self.parameters[k]))
+        return name not in self.at_bound and bool(is_determined(self.std[k], self.parameters[k]))
 
 
 @dataclass(frozen=True, eq=False)

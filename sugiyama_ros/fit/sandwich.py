@@ -29,9 +29,12 @@ _CLEARLY, _DOUBLINGS = 4.0, 7
 
 
 def own_stds(fitted: JointFit) -> list[dict[str, float]]:
-    """Return standard deviations of the individual parameters of each driver, by name, from a fit's information."""
+    """Return standard deviations of the individual parameters of each driver, by name, from a fit's information.
+
+    The drivers are draws from a population, whose centre is known from these drivers alone.
+    """
     places, found = list(fitted.model.individual), []
-    inverses, lifts, shared = _arrow(fitted)
+    inverses, lifts, shared = _arrow(fitted, with_centre=True)
     for inverse, lift, row in zip(inverses, lifts, fitted.model.rows[:, places], strict=True):
         variances = np.diag(inverse + lift @ shared @ lift.T)
         # from a coordinate to the parameter itself: d p = p d log p
@@ -40,20 +43,25 @@ def own_stds(fitted: JointFit) -> list[dict[str, float]]:
     return found
 
 
-def _arrow(fitted: JointFit) -> tuple[Array, Array, Array]:
+def _arrow(fitted: JointFit, *, with_centre: bool = False) -> tuple[Array, Array, Array]:
     """Return the parts of the inverse information of a fit, which has the shape of an arrow.
 
     The inverses (N, I, I) of each driver alone, the responses (N, I, S) of the individual parameters to the shared
-    ones, and the covariance (S, S) of the shared ones.
+    ones, and the covariance (S, S) of the shared ones. The centre of the population counts as known, or is in front of
+    the shared parameters.
     """
     model, own = fitted.model, len(fitted.model.individual)
     prior, has = np.diag(1.0 / np.array(model.prior_std) ** 2), model.has[:, None]
     h: Array = np.array([s.information.sum(axis=0) for s in fitted.slopes])
     inverses: Array = np.asarray(np.linalg.inv(h[:, :own, :own] + prior), np.float64)
-    cross = np.where(has, h[:, :own, own:], 0.0)
+    cross, both = np.where(has, h[:, :own, own:], 0.0), has & has.transpose(0, 2, 1)
+    block = np.where(both, h[:, own:, own:], 0.0)
+    if with_centre:
+        cross = np.concatenate([np.broadcast_to(-prior, (len(h), own, own)), cross], axis=2)
+        block = np.pad(block, ((0, 0), (own, 0), (own, 0)))
+        block[:, :own, :own] = prior
     lifts: Array = inverses @ cross
-    both = has & has.transpose(0, 2, 1)
-    reduced = (np.where(both, h[:, own:, own:], 0.0) - cross.transpose(0, 2, 1) @ lifts).sum(axis=0)
+    reduced = (block - cross.transpose(0, 2, 1) @ lifts).sum(axis=0)
     return inverses, lifts, np.asarray(np.linalg.pinv(reduced + 1e-9 * np.eye(len(reduced))), np.float64)
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.filters.paper import Scored
 
 # Information about the logarithm of a parameter below which the data say nothing about it: a std of a factor of e^1000.
@@ -26,6 +26,11 @@ def stds(scored: Scored, parameters: Array, places: Ints) -> Array:
         variance = np.maximum(variance, np.diag(covariance @ scored.scatter[block] @ covariance))
     found = np.sqrt(np.maximum(variance, 0.0))
     return np.where(untouched(information, parameters[places]), np.inf, found)
+
+
+def is_determined(std: Array | float, value: Array | float) -> Mask:
+    """Whether the data determine parameters (...): the standard deviation is less than half of the value."""
+    return np.asarray(np.asarray(std) < 0.5 * np.abs(value))
 
 
 def untouched(information: Array, values: Array) -> Array:

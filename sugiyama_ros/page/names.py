@@ -179,3 +179,8 @@ def spaced(name: object) -> str:
 def listed(names: list[str], word: str = "and") -> str:
     """Names as a sentence lists them."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}" if names else ""
+
+
+def not_found(n: Document) -> str:
+    """Says that the fitted strength of what somebody asked for is zero; empty if it is not."""
+    return "" if any(n["gains"]["all"].values()) else "nothing was found: the fitted strength is 0"

@@ -22,6 +22,7 @@ from sugiyama_ros.page.names import (
     models,
     named,
     nats,
+    not_found,
     quantity,
     spaced,
     title_of,
@@ -33,10 +34,8 @@ from sugiyama_ros.results import figure
 
 # A single-car error of a driver that grows by this factor is told.
 _WORSE = 1.2
-# Additions that the headline names; of more, it says the number.
-_FEW = 3
-# Bins or columns, and strengths that would have shown, that a sentence lists.
-_WORST, _SHOWN = 3, 5
+# Additions that the headline names, of more it says the number; bins or columns, and strengths, that a sentence lists.
+_FEW, _WORST, _SHOWN = 3, 3, 5
 _BASE = "a = abar(gap, v, v_lead; v*, kappa_v)"
 # What checks compare, by name; further names are a prefix and what it is about.
 _CHECKS = {
@@ -113,13 +112,15 @@ def certainty(n: Document) -> str:
     """How certain an addition is: its gain on data that no fit has seen, and its p-value."""
     verb = "confirm" if is_supported(n) else "do not confirm"
     p = chance(n.get("p_value"))
-    return f"unseen data {verb} it: {on_unseen(n)}" + (f"; chance gains as much with {p}" if p else "")
+    return not_found(n) or f"unseen data {verb} it: {on_unseen(n)}" + (f"; chance gains as much with {p}" if p else "")
 
 
 def gain_in_words(d: Document, n: Document) -> str:
     """The name of an addition, and what it gains on unseen data, in a few words."""
     size = f"{nats(float(n['heldout_gain_nats']), float(n['heldout_gain_se']))} nats"
-    told = f"{size} better on unseen data" if is_supported(n) else f"the data do not ask for it ({size})"
+    told = (
+        f"{size} better on unseen data" if is_supported(n) else not_found(n) or f"the data do not ask for it ({size})"
+    )
     return f"{addition(d, n)}: {told}"
 
 
@@ -263,7 +264,8 @@ def headline(d: Document) -> str:
     if len(asked) == len(effects):
         end = f" The model fails{_but_holds(d)}: something else is missing." if failed(d) else ""
         start = f"{words}: " if failed(d) else ""
-        return f"{start}You asked for {_of(d, asked)}; the data do not.{end}"
+        said = not_found(asked[0]) if all(map(not_found, asked)) else "the data do not"
+        return f"{start}You asked for {_of(d, asked)}; {said}.{end}"
     physical = [n for n in effects if explains(n)]
     rest = [n for n in effects if is_supported(n) and not explains(n)]
     if not physical:

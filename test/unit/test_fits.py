@@ -5,11 +5,13 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
+from sugiyama_ros.diagnosis.refine import with_named
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.fit.joint import fit, fit_base, objective, start_model
-from sugiyama_ros.fit.recording import FOLDS, prepare
+from sugiyama_ros.fit.joint import fit, fit_base, rise, start_model
+from sugiyama_ros.fit.recording import prepare
+from sugiyama_ros.fit.sandwich import own_stds
 from sugiyama_ros.fit.score import evaluate
 from sugiyama_ros.fit.slopes import slopes
 from sugiyama_ros.road import Road
@@ -44,9 +46,7 @@ def fitted(work):
 def test_a_fit_is_at_a_maximum(fitted, work):
     _, data, base = fitted
     again = fit(data, base.model, work, iterations=10)
-    everywhere = range(FOLDS)
-    rise = objective(again.slopes, again.model, everywhere) - objective(base.slopes, base.model, everywhere)
-    assert -1e-9 <= rise < 0.5
+    assert -1e-9 <= rise(base, again) < 0.5
 
 
 def test_a_fit_beats_the_truth_by_as_much_as_its_freedom_allows(fitted, work):
@@ -74,6 +74,27 @@ def test_scores_of_some_drivers_equal_their_scores_among_all(fitted, work):
     for i in (1, 4):
         np.testing.assert_array_equal(some.of(i), every.of(i))
     assert every.only([1, 4]).total == some.total
+
+
+@pytest.mark.parametrize("name", ["reaction_delay", "actuation_lag"])
+def test_what_is_added_by_name_never_makes_a_model_worse(fitted, work, name):
+    _, data, base = fitted
+    again = with_named(data, base, [name], work)
+    assert again is base or rise(base, again) > 0.0
+
+
+def test_standard_errors_are_those_of_all_drivers_and_their_centre_together(fitted):
+    _, _, base = fitted
+    own = len(INDIVIDUAL)
+    prior = np.diag(np.array(base.model.prior_std) ** -2.0)
+    # a prior around the mean driver leaves a step of all drivers at once to the samples alone
+    together = -np.kron(np.full((CARS, CARS), 1.0 / CARS), prior)
+    for i, one in enumerate(base.slopes):
+        mine = slice(i * own, (i + 1) * own)
+        together[mine, mine] += one.information.sum(axis=0) + prior
+    expected = np.sqrt(np.diag(np.linalg.inv(together))).reshape(CARS, own) * base.model.rows[:, INDIVIDUAL]
+    found = np.array([list(stds.values()) for stds in own_stds(base)])
+    assert found == pytest.approx(expected, rel=1e-6)
 
 
 def test_too_short_a_recording_is_refused():
