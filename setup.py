@@ -67,7 +67,7 @@ setup(
             f"sugiyama = {name}.cli:main",
             *(
                 f"sugiyama_{node} = {name}.nodes.executables:{node}"
-                for node in ("critic", "drivers", "estimator", "keeper", "recorder", "replay", "simulator", "tracks")
+                for node in ("critic", "drivers", "keeper", "recorder", "replay", "simulator", "tracks")
             ),
         ]
     },

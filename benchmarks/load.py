@@ -24,7 +24,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import SugiyamaError
 from sugiyama_ros.nodes.base import cdr_messages, environment
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
-from sugiyama_ros.nodes.base.spin import RUNNER, Spinner, ros
+from sugiyama_ros.nodes.base.spin import Spinner, ros
 from sugiyama_ros.trajectories.placing import Positions
 
 _PLATOON, _HEADWAY_M, _SPEED, _NOISE_M, _LENGTH_M = 10, 25.0, 12.0, 0.2, 4.5
@@ -90,7 +90,7 @@ def measure(drivers: int, rate_hz: float, duration_s: float) -> Load:
     """
     environment.isolate()
     command = [sys.executable, "-m", "sugiyama_ros.nodes.drivers"]
-    child = subprocess.Popen(command, env=os.environ | {RUNNER: str(os.getpid())})
+    child = subprocess.Popen(command)
     try:
         with ros():
             perception = _Perception(drivers, 1.0 / rate_hz)

@@ -30,7 +30,8 @@ def nodes(context: LaunchContext) -> list[GroupAction]:
 
     config, package = Path(given("config")), "sugiyama_ros"
     line = {"centre_line": given("centre_line"), "topics": yaml.safe_load(given("topics")), "frame": given("frame")}
-    model, has_critic = {"model": given("model")}, given("critic") == "true"
+    # a parameter of the file holds for all drivers, whatever a model says of them
+    model, has_critic = [{"model": given("model")}] if given("model") else [], given("critic") == "true"
     again = {"respawn": True, "respawn_delay": 1.0, "respawn_max_retries": RETRIES}
     everything = [
         PushROSNamespace(given("namespace")),
@@ -43,7 +44,7 @@ def nodes(context: LaunchContext) -> list[GroupAction]:
             sigterm_timeout="20",
             on_exit=Shutdown(reason="the recorder has ended"),
         ),
-        Node(package=package, executable="sugiyama_drivers", parameters=[config / "drivers.yaml", model], **again),
+        Node(package=package, executable="sugiyama_drivers", parameters=model or [config / "drivers.yaml"], **again),
         *(
             [Node(package=package, executable="sugiyama_critic", parameters=[config / "critic.yaml"])]
             if has_critic

@@ -1,4 +1,4 @@
-"""Replay a recording through one estimator for each driver and record everything.
+"""Replay a recording, follow each driver in a process of its own, and record everything.
 
     ros2 launch sugiyama_ros replay.launch.py source:=FILE output:=FILE.mcap [rate:=1.0] [ring:=230.0]
         [model:=MODEL.yaml] [critic:=true] [namespace:=NAME] [use_sim_time:=true]
@@ -17,15 +17,15 @@ from launch_ros.actions import Node, PushROSNamespace, SetParameter
 from launch import LaunchContext, LaunchDescription
 from sugiyama_ros.formats.registry import known_suffixes
 from sugiyama_ros.nodes.base import environment
-from sugiyama_ros.nodes.plan import Plan, RunSettings, within
+from sugiyama_ros.nodes.plan import RunSettings, one_for_each, plan_of, within
 
-#: How often an estimator that was killed starts again.
+#: How often a node that was killed starts again.
 RETRIES = 5
 FLAG = ["true", "false"]
 
 
 def nodes(context: LaunchContext) -> list[GroupAction]:
-    """One replay, one recorder, and one estimator for each vehicle of the file."""
+    """One replay, one recorder, and one node for each driver of the file; on tracks, one node for all in view."""
 
     def given(name: str) -> str:
         return LaunchConfiguration(name).perform(context)
@@ -37,11 +37,14 @@ def nodes(context: LaunchContext) -> list[GroupAction]:
         model=Path(given("model")) if given("model") else None,
         critic=given("critic") == "true",
     )
-    plan = Plan.read(Path(given("source")), Path(given("output")), settings)
+    plan = plan_of(Path(given("source")), Path(given("output")), settings)
     package = "sugiyama_ros"
     space = given("namespace")
-    recorder = {**plan.recorder, "paced_topics": within(space, plan.recorder["paced_topics"])}
-    sending = {**plan.sending, "wait_for": within(space, plan.sending["wait_for"]), "exit_at_end": True}
+    own = plan.vehicles_with_topics
+    drivers = one_for_each(own, plan.drivers | {"ask_keeper": True}) if own else {"drivers": plan.drivers}
+    recorder = {**plan.recorder, "paced_topics": within(space, plan.paced_topics)}
+    sending = plan.sending(drivers)
+    sending |= {"wait_for": within(space, sending["wait_for"]), "exit_at_end": True}
     critic = [Node(package=package, executable="sugiyama_critic", parameters=[config / "critic.yaml"])]
     everything = [
         PushROSNamespace(space),
@@ -59,18 +62,14 @@ def nodes(context: LaunchContext) -> list[GroupAction]:
         *(
             Node(
                 package=package,
-                executable="sugiyama_estimator",
-                namespace=namespace.strip("/"),
-                parameters=[
-                    *([] if settings.model else [config / "estimator.yaml"]),
-                    plan.estimator,
-                    {"ask_keeper": True},
-                ],
+                executable="sugiyama_drivers",
+                name=name,
+                parameters=[*([] if settings.model else [config / "drivers.yaml"]), parameters],
                 respawn=True,
                 respawn_delay=1.0,
                 respawn_max_retries=RETRIES,
             )
-            for namespace in plan.namespaces
+            for name, parameters in drivers.items()
         ),
         Node(
             package=package,
@@ -92,7 +91,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("output", description="MCAP file to write"),
             DeclareLaunchArgument("rate", default_value="1.0", description="times real time; 0: as fast as possible"),
             DeclareLaunchArgument("ring", default_value="0.0", description="circumference [m]; 0: as the file says"),
-            DeclareLaunchArgument("model", default_value="", description="model file from which the estimators start"),
+            DeclareLaunchArgument("model", default_value="", description="model file from which drivers start"),
             DeclareLaunchArgument(
                 "critic", default_value="false", choices=FLAG, description="whether a critic listens"
             ),

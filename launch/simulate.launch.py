@@ -1,4 +1,4 @@
-"""Simulate drivers on a ring, follow each of them with an estimator, and record everything.
+"""Simulate drivers on a ring, follow each of them in a process of its own, and record everything.
 
     ros2 launch sugiyama_ros simulate.launch.py output:=FILE.mcap [vehicles:=22] [duration:=0.0] [rate:=1.0]
         [model:=MODEL.yaml] [critic:=true] [namespace:=NAME] [use_sim_time:=true] [config:=DIRECTORY]
@@ -14,36 +14,34 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node, PushROSNamespace, SetParameter
 
 from launch import LaunchContext, LaunchDescription
-from sugiyama_ros.formats.truth import namespaces
 from sugiyama_ros.nodes.base import environment
-from sugiyama_ros.nodes.plan import CRITIC, RECORDER, estimators, step_topics, within
+from sugiyama_ros.nodes.plan import one_for_each, paced_topics, within
 
-#: How often an estimator that was killed starts again.
+#: How often a node that was killed starts again.
 RETRIES = 5
 FLAG = ["true", "false"]
 
 
 def nodes(context: LaunchContext) -> list[GroupAction]:
-    """One simulator, one recorder, and one estimator for each vehicle."""
+    """One simulator, one recorder, and one node for each driver."""
 
     def given(name: str) -> str:
         return LaunchConfiguration(name).perform(context)
 
     config = Path(given("config"))
-    vehicles = int(given("vehicles"))
-    spaces = namespaces(range(vehicles))
+    vehicles = range(int(given("vehicles")))
     package = "sugiyama_ros"
-    truth = [f"{space}/truth" for space in spaces]
     around, model, has_critic = given("namespace"), given("model"), given("critic") == "true"
-    followers = [RECORDER, *estimators(spaces), *([CRITIC] if has_critic else [])]
-    paced = within(around, [*step_topics(spaces), *truth])
+    drivers = one_for_each(vehicles, {"ask_keeper": True, **({"model": model} if model else {})})
+    names = ["recorder", *drivers, *(["critic"] if has_critic else [])]
+    paced = within(around, paced_topics(vehicles, vehicles))
     recorder = {"output": given("output"), "paced_topics": paced, "time_source": "data"}
     simulator = {
-        "vehicles": vehicles,
+        "vehicles": len(vehicles),
         "duration": float(given("duration")),
         "exit_at_end": True,
         "rate": float(given("rate")),
-        "wait_for": within(around, followers),
+        "wait_for": within(around, [f"/{name}" for name in names]),
     }
     critic = [Node(package=package, executable="sugiyama_critic", parameters=[config / "critic.yaml"])]
     everything = [
@@ -62,14 +60,14 @@ def nodes(context: LaunchContext) -> list[GroupAction]:
         *(
             Node(
                 package=package,
-                executable="sugiyama_estimator",
-                namespace=space.strip("/"),
-                parameters=[{"model": model} if model else config / "estimator.yaml", {"ask_keeper": True}],
+                executable="sugiyama_drivers",
+                name=name,
+                parameters=[*([] if model else [config / "drivers.yaml"]), parameters],
                 respawn=True,
                 respawn_delay=1.0,
                 respawn_max_retries=RETRIES,
             )
-            for space in spaces
+            for name, parameters in drivers.items()
         ),
         Node(
             package=package,
@@ -93,7 +91,7 @@ def generate_launch_description() -> LaunchDescription:
                 "duration", default_value="0.0", description="time [s] of the simulation; 0: endless"
             ),
             DeclareLaunchArgument("rate", default_value="1.0", description="times real time; 0: as fast as possible"),
-            DeclareLaunchArgument("model", default_value="", description="model file from which the estimators start"),
+            DeclareLaunchArgument("model", default_value="", description="model file from which drivers start"),
             DeclareLaunchArgument(
                 "critic", default_value="false", choices=FLAG, description="whether a critic listens"
             ),

@@ -2,7 +2,6 @@
 
 import dataclasses
 import gc
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -73,7 +72,6 @@ class RunOptions:
     seed: Annotated[int | None, typer.Option(min=0, help="With --simulate: seed of the random numbers.")] = None
     parameter: SetParameter = None
     effect: AddEffect = None
-    processes: Annotated[bool, typer.Option("--processes", help="Run each node in a process of its own.")] = False
     ring: Ring = None
     model: ModelFile = None
     law: Law = PAPERS
@@ -100,7 +98,7 @@ class RunOptions:
 def run(options: RunOptions) -> None:
     """Replay or simulate drivers as ROS topics, and estimate them.
 
-    Each driver has an estimator of their own. All topics are recorded.
+    Each driver has a filter of their own. All topics are recorded.
     """
     try:
         result = replay(options)
@@ -130,7 +128,6 @@ def replay(options: RunOptions) -> "RunResult":
             source,
             options.output,
             rate=rate,
-            processes=options.processes,
             ring_m=options.ring,
             model=options.model,
             law=options.law,
@@ -196,11 +193,10 @@ def print_run(result: "RunResult", as_json: bool) -> None:
         _end(result)
         return
     names = sorted({name for d in result.drivers for name in d.law}, key=ROW.entries.index) or ["v_star", "kappa_v"]
-    called = _called(result.output)
     known = [{"v_star": d.v_star, "kappa_v": d.kappa_v, **d.law} for d in result.drivers]
     rows = tuple(
         (
-            called.get(d.vehicle, str(d.vehicle)),
+            str(d.vehicle) if d.name == str(d.vehicle) else f"{d.vehicle} ({d.name})",
             *(f"{values[name]:.3g}" if name in values and name in d.identified else _VAGUE for name in names),
             f"{d.one_step_rmse_m:.3f}",
             f"{d.nis_mean:.2f}",
@@ -224,26 +220,10 @@ def print_run(result: "RunResult", as_json: bool) -> None:
     _end(result)
 
 
-def _called(bag: Path) -> dict[int, str]:
-    """What tables call the vehicles of a run: the number, and the name in the recording where it is another one."""
-    from sugiyama_ros.formats.mcap_reader import Bag
-
-    with Bag(bag) as opened:
-        names = json.loads(opened.info().metadata.get("sugiyama", {}).get("vehicle_names", "{}"))
-    return {int(number): f"{number} ({name})" for number, name in names.items()}
-
-
 def _mean(result: "RunResult", parameters: int) -> list[tuple[str, ...]]:
     """The last row: the mean over the drivers who follow somebody; none for a single one."""
-    from sugiyama_ros.formats.registry import read_trajectories
-
-    try:
-        t = read_trajectories(result.output, None)
-        following = set(t.vehicle[(t.leader >= 0).any(axis=0)].tolist())
-    except InputError:  # tracks, or junk that another program has sent
-        following = set()
     known = [d for d in result.drivers if math.isfinite(d.one_step_rmse_m)]
-    drivers = [d for d in known if d.vehicle in following] or known
+    drivers = [d for d in known if d.follows] or known
     if len(drivers) < 2:
         return []
     error, nis = (sum(getattr(d, name) for d in drivers) / len(drivers) for name in ("one_step_rmse_m", "nis_mean"))

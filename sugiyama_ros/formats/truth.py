@@ -22,11 +22,9 @@ _NS = 1_000_000_000
 _LAYOUT = struct.Struct(f"<4s i I I {len(FRAME) + 1}s 3x i 4d")
 
 
-def namespaces(vehicles: Iterable[int]) -> list[str]:
-    """Namespace of each vehicle, /vehicle_07; with as many digits as the largest number needs, at least two."""
-    numbers = list(vehicles)
-    width = max(2, len(str(max(numbers, default=0))))
-    return [f"/vehicle_{number:0{width}}" for number in numbers]
+def namespace(vehicle: int) -> str:
+    """Namespace of the topics of a vehicle, within that of the road: ``vehicle_07``."""
+    return f"vehicle_{vehicle:02}"
 
 
 def truth_message(time_ns: int, vehicle: int, motion: Iterable[float]) -> bytes:
@@ -43,14 +41,12 @@ def write_simulated(trajectories: Trajectories, truth: Truth, target: Target) ->
     from sugiyama_ros.formats.cdr import Encoder
 
     encode = Encoder(PARAMETERS_TYPE)
-    spaces = dict(zip(truth.vehicle.tolist(), namespaces(truth.vehicle.tolist()), strict=True))
     with BagWriter(target, {"source": trajectories.source, "sha256": trajectories.sha256}) as bag:
         road = bag.topic("/road", ROAD_TYPE, LATCHED_TOPIC)
         measured = bag.topic("/measured", MEASURED_TYPE, Qos())
-        true = {v: bag.topic(f"{space}/truth", TRUTH_TYPE, Qos()) for v, space in spaces.items()}
-        drives = {
-            v: bag.topic(f"{space}/true_parameters", PARAMETERS_TYPE, LATCHED_TOPIC) for v, space in spaces.items()
-        }
+        vehicles = truth.vehicle.tolist()
+        true = {v: bag.topic(f"/{namespace(v)}/truth", TRUTH_TYPE, Qos()) for v in vehicles}
+        drives = {v: bag.topic(f"/{namespace(v)}/true_parameters", PARAMETERS_TYPE, LATCHED_TOPIC) for v in vehicles}
         for drive in truth.drivers:
             stamp = stamp_ns(drive.time_s)
             data = encode(PARAMETERS_TYPE, **parameters_fields(stamp, drive))

@@ -20,16 +20,15 @@ from sugiyama_ros.filters.bank import Bank
 from sugiyama_ros.filters.chain import CHAIN
 from sugiyama_ros.filters.online import warm_up
 from sugiyama_ros.formats.measured import FRAME
-from sugiyama_ros.formats.truth import namespaces
+from sugiyama_ros.formats.truth import namespace
 from sugiyama_ros.nodes.base import incoming
 from sugiyama_ros.nodes.base.cdr_messages import NS, time_message
-from sugiyama_ros.nodes.base.feed import DRIVERS_TOPIC, RoadFeed
-from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode, clients_of
+from sugiyama_ros.nodes.base.feed import RoadFeed
+from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode, clients_of, followers
 from sugiyama_ros.nodes.base.parameters import check_driver, declare_driver, driver_of
 from sugiyama_ros.nodes.base.qos import STREAM
 from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER, Sample
 from sugiyama_ros.nodes.base.spin import run_node
-from sugiyama_ros.nodes.plan import DRIVERS, estimators
 from sugiyama_ros.road import Road
 
 _VERDICT_EVERY_NS = 5 * NS
@@ -37,22 +36,19 @@ _VERDICT_EVERY_NS = 5 * NS
 _GONE_NS = 5 * NS
 # Time [s] after which a sample counts less by a factor of e.
 _FORGET_S = 120.0
-# Estimators that an answer names, at most.
-_NAMED = 3
 
 
 class Critic(PacedNode):
-    """Publishes a verdict every 5 s of the recording. ``~/add_effect`` adds an effect to all running estimators.
+    """Publishes a verdict every 5 s of the recording. ``~/add_effect`` adds an effect to the models of all nodes that
+    follow drivers.
 
-    A jump back in time starts the bank anew, and so does an effect that the estimators of all drivers get or lose: the
-    bank looks for what is missing beyond them. Vehicles may come and go. While nobody knows whom a driver follows, the
+    A jump back in time starts the bank anew, and so does an effect that the models of all drivers get or lose: the bank
+    looks for what is missing beyond them. Vehicles may come and go. While nobody knows whom a driver follows, the
     driver is not followed: what they do then tells nothing of a model. Parameters of the node: the parameters of a
     driver, from which every model of the bank starts.
-
-    feed: where the samples come from, if several nodes of the process share one.
     """
 
-    def __init__(self, feed: RoadFeed | None = None, **options: Any) -> None:
+    def __init__(self, **options: Any) -> None:
         super().__init__("critic", **options)
         warm_up()
         declare_driver(self, population())
@@ -70,26 +66,26 @@ class Critic(PacedNode):
         self._failure = ""
         self._to_verdict = self.create_publisher(Verdict, "verdict", STREAM)
         self.create_service(AddEffect, "~/add_effect", self._on_add_effect)
-        self.listen(DriverArray, self.shared(DRIVERS_TOPIC), self._on_drivers, STREAM)
-        (feed or RoadFeed(self)).hand_to(self)
+        self.listen(DriverArray, "drivers", self._on_drivers, STREAM)
+        RoadFeed(self, self._on_road, self._take_in)
 
     def health(self) -> Health:
         """ERROR after a failure of a filter, WARN without a road."""
         if self._failure:
             return Health(ERROR, self._failure, {})
         if self._road is None:
-            return Health(WARN, f"waiting for a road on {self.shared('road')}", {})
+            return Health(WARN, f"waiting for a road on {self.resolve_topic_name('road')}", {})
         if self._bank is None:
-            return Health(WARN, f"nothing heard on {self.shared('measured')} yet", {})
+            return Health(WARN, f"nothing heard on {self.resolve_topic_name('measured')} yet", {})
         said = "settled" if self._bank.is_settled else "not settled"
         return Health(OK, f"comparing; {said}", {"samples": self._bank.samples, "added": ", ".join(self._bank.effects)})
 
-    def on_road(self, road: RoadMessage) -> None:
+    def _on_road(self, road: RoadMessage) -> None:
         """Begin with a road, and anew with each road that comes."""
         self._road, self._bank = road, None
         self.announce()
 
-    def take_in(self, sample: Sample) -> None:
+    def _take_in(self, sample: Sample) -> None:
         """Let all models follow the vehicles of a sample."""
         assert self._road is not None, "the feed hands samples over once there is a road"
         try:
@@ -140,9 +136,9 @@ class Critic(PacedNode):
                 self.destroy_subscription(self._heard.pop(vehicle))
 
     def _listen_to(self, vehicle: int) -> None:
-        """Listen to which effects the estimator of a driver has, unless one message says it of all drivers."""
-        if vehicle not in self._heard and not self.count_publishers(self.shared(DRIVERS_TOPIC)):
-            topic = self.shared(f"{namespaces([vehicle])[0].lstrip('/')}/parameters")
+        """Listen to which effects the model of a driver has, unless one message says it of all drivers."""
+        if vehicle not in self._heard and not self.count_publishers("drivers"):
+            topic = f"{namespace(vehicle)}/parameters"
             self._heard[vehicle] = self.listen(DriverParameters, topic, self._on_parameters, STREAM)
 
     def _on_parameters(self, message: DriverParameters) -> None:
@@ -163,7 +159,7 @@ class Critic(PacedNode):
             self._bank = None
 
     def _with_added(self, row: Array) -> Array:
-        """Row (WIDTH,) with the effects that all estimators have, at the means of their values."""
+        """Row (WIDTH,) with the effects that the models of all drivers have, at the means of their values."""
         row = ROW.with_effects(row[: len(NAMES)])
         known = list(self._effects_of.values()) if self._drivers is None else effects_of(self._drivers)
         if known and (self._drivers is not None or len(known) >= len(self._chains)):
@@ -191,23 +187,19 @@ class Critic(PacedNode):
         self.send(self._to_verdict, message)
 
     def _on_add_effect(self, request: AddEffect.Request, response: AddEffect.Response) -> AddEffect.Response:
-        """Pass the request on to every running estimator. An estimator that refuses it is logged."""
+        """Pass the request on to every node that follows drivers. A node that refuses it is logged."""
         try:
             values = incoming.named_values(f"effect {request.effect}", request.name, request.value)
             switched_on(ROW.with_effects(population()), request.effect, values)
         except (incoming.RefusedError, InputError) as error:
             response.message = str(error)
             return response
-        of_all = f"{self.shared(DRIVERS.lstrip('/'))}/add_effect"
-        is_one = any(name == of_all for name, _ in self.get_service_names_and_types())
-        names = [self.shared(DRIVERS.lstrip("/"))] if is_one else estimators(namespaces(self._chains))
-        clients, missing = clients_of(self, AddEffect, [f"{name}/add_effect" for name in names])
+        clients, missing = clients_of(self, AddEffect, [f"{name}/add_effect" for name in followers(self)])
         for client in clients:
             client.call_async(request).add_done_callback(partial(self._on_answer, client))
         response.success = bool(clients) and not missing
         if not response.success:
-            which = f"; missing: {', '.join(missing[:_NAMED])}{' ...' * (len(missing) > _NAMED)}" if missing else ""
-            response.message = f"{len(clients)} of {len(names)} estimators answer{which}"
+            response.message = f"no answer from {missing[0]}" if missing else "no node follows drivers"
         return response
 
     def _on_answer(self, client: Client, done: Any) -> None:

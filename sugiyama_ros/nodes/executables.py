@@ -17,7 +17,6 @@ from sugiyama_ros.errors import InputError, SugiyamaError, nowhere_to_compile
 NODES = {
     "critic": "Critic",
     "drivers": "DriversNode",
-    "estimator": "Estimator",
     "keeper": "Keeper",
     "recorder": "Recorder",
     "replay": "Replay",
@@ -55,4 +54,4 @@ def run(node: str) -> None:
         sys.exit(2)
 
 
-critic, drivers, estimator, keeper, recorder, replay, simulator, tracks = (partial(run, node) for node in NODES)
+critic, drivers, keeper, recorder, replay, simulator, tracks = (partial(run, node) for node in NODES)

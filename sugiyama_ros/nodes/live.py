@@ -13,8 +13,9 @@ from tornado.ioloop import IOLoop, PeriodicCallback
 from sugiyama_ros.errors import SugiyamaError
 from sugiyama_ros.nodes.base import environment
 from sugiyama_ros.nodes.base.spin import Spinner, ros
-from sugiyama_ros.nodes.plan import Plan, RunSettings
-from sugiyama_ros.nodes.run import OneProcess
+from sugiyama_ros.nodes.plan import Plan, RunSettings, plan_of
+from sugiyama_ros.nodes.replay import TrackSamples
+from sugiyama_ros.nodes.run import RunNodes
 from sugiyama_ros.nodes.view import View
 from sugiyama_ros.page.guard import Guard, log_quietly
 from sugiyama_ros.page.live import page
@@ -48,10 +49,10 @@ def serve(
         view = View(settings.rate) if plan is None else View(settings.rate, str(output), plan.vehicles_with_topics)
         stack.callback(view.destroy_node)
         server, url = _server(view, host, port)
-        runner = OneProcess(plan, _WINDOW) if plan is not None else None
+        runner = RunNodes(plan, _WINDOW) if plan is not None else None
         if runner is not None:
             stack.callback(runner.close)
-        spinner = Spinner([*(runner.nodes if runner is not None else ()), view])
+        spinner = Spinner([*(runner.all if runner is not None else ()), view])
         stack.callback(spinner.close)
         if runner is not None:
             stack.callback(runner.stop, spinner)
@@ -69,14 +70,14 @@ def serve(
 
 def _plan(source: Path, output: Path, settings: RunSettings) -> Plan:
     """What runs beside the page; without a critic where too many vehicles are in view."""
-    plan = Plan.read(source, output, settings)
-    if plan.source.tracks is not None and plan.source.tracks.drivers_per_s > _CRITIC_AT_MOST:
+    plan = plan_of(source, output, settings)
+    if isinstance(plan.source, TrackSamples) and plan.source.drivers_per_s > _CRITIC_AT_MOST:
         return replace(plan, settings=replace(settings, critic=False))
     return plan
 
 
 def _turns(
-    spinner: Spinner, runner: OneProcess | None, asked_to_stop: Callable[[], bool], failures: list[Exception]
+    spinner: Spinner, runner: RunNodes | None, asked_to_stop: Callable[[], bool], failures: list[Exception]
 ) -> PeriodicCallback:
     """Callback that lets the nodes run between the turns of the server, and stops it after a signal or a failure."""
     loop = IOLoop.current()

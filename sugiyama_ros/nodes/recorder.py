@@ -52,7 +52,7 @@ class Recorder(PacedNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(RECORDER, **options)
-        measured = self.shared("measured")
+        measured = self.resolve_topic_name("measured")
         output = self.option("output", "", "MCAP file to write, or directory for rosbag2")
         overwrite = self.option("overwrite", False, "replace a file of this name")
         paced = self.option("paced_topics", [measured], "full names of the topics with one message a step")
@@ -131,7 +131,7 @@ class Recorder(PacedNode):
         new = [
             (topic, types[0])
             for topic, types in self.get_topic_names_and_types()
-            if topic not in self._known and topic not in UNRECORDED and not topic_or_service_is_hidden(topic)
+            if topic not in self._known and not topic.endswith(UNRECORDED) and not topic_or_service_is_hidden(topic)
         ]
         # a subscription takes some milliseconds; a queue may not hold the messages that wait meanwhile
         for topic, type_name in new[:_AT_A_TIME]:

@@ -42,6 +42,16 @@ class RecordedPositions:
         self.vehicle = t.vehicle.tolist()
         self._leader = np.where(t.leader >= 0, t.vehicle[t.leader], -1)
 
+    @property
+    def true_vehicles(self) -> list[int]:
+        """Vehicles whose true motion is known."""
+        return [] if self.truth is None else self.truth.vehicle.tolist()
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Parameters of a replay that sends the same."""
+        return {"ring": self.road.circumference_m}
+
     def at(self, step: int) -> Positions:
         """Sample number ``step``."""
         t = self.trajectories
@@ -81,6 +91,16 @@ class TrackSamples:
         self._position_m, self._length_m = self.road.wrap(tracks.s_m)[order], tracks.length_m[order]
         self._lane = _lanes(tracks)[order] if tracks.lane is not None else None
         self._d_m = None if tracks.d_m is None else tracks.d_m[order]
+
+    @property
+    def true_vehicles(self) -> list[int]:
+        """None: nobody knows the truth about tracks."""
+        return []
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Parameters of a replay that sends the same."""
+        return {"ring": self.road.circumference_m}
 
     @property
     def drivers_per_s(self) -> float:

@@ -20,7 +20,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.measured import FRAME
-from sugiyama_ros.formats.truth import namespaces, truth_message
+from sugiyama_ros.formats.truth import namespace, truth_message
 from sugiyama_ros.nodes.base import cdr_messages, environment
 from sugiyama_ros.nodes.base.cdr_messages import NS, time_message
 from sugiyama_ros.nodes.base.node import ERROR, OK, RECORDER, WARN, Health, PacedNode
@@ -79,13 +79,15 @@ class Source(PacedNode):
         self._jump_to: int | None = None
         self._anchor: tuple[float, int] | None = None
         self._markers = Markers(self.samples.road)
+        # times [s] at which the first sample was sent, and the last one taken
+        self._first_s = self._last_s = 0.0
         self._awake_s = 0.0
         self._ticked_s = time.monotonic()
         self._to_road = self.create_publisher(RoadMessage, "road", LATCHED)
         self._to_measured = self.create_publisher(MeasuredPositions, "measured", STREAM)
         self._to_clock = self.create_publisher(Clock, "/clock", STREAM)
         self._to_markers = self.create_publisher(MarkerArray, "markers", STREAM)
-        self.listen(Progress, self.shared("_progress"), self._on_progress, PROGRESS_IN)
+        self.listen(Progress, "_progress", self._on_progress, PROGRESS_IN)
         for service, callback in (("pause", self._on_pause), ("resume", self._on_resume), ("step", self._on_step)):
             self.create_service(Trigger, f"~/{service}", callback)
         self.add_post_set_parameters_callback(lambda _: self._on_parameters())
@@ -108,7 +110,7 @@ class Source(PacedNode):
         if self._pace.dropped:
             return Health(ERROR, f"gave up waiting for {', '.join(sorted(self._pace.dropped))}", values)
         if self._pace.missing:
-            return Health(WARN, f"waiting for {', '.join(sorted(self._pace.missing))}", values)
+            return Health(WARN, f"waiting for {', '.join(self.missing)}", values)
         return Health(OK, "paused" if self._paused else "sending", values)
 
     def narrow(self, window: int) -> None:
@@ -121,10 +123,20 @@ class Source(PacedNode):
         """What is sent, how fast, and who is waited for."""
         s, rate = self.samples, f"{self._speed_up:g} times real time" if self._speed_up else "the fastest rate"
         what = f"{s.steps} samples ({(s.steps - 1) * s.period_s:.1f} s)" if s.steps else "samples without end"
-        awaited = sorted(self._pace.missing)
+        awaited = self.missing
         named = ", ".join(awaited[:_NAMED]) + f" and {len(awaited) - _NAMED} others" * (len(awaited) > _NAMED)
         waits = f", once {named} can take them" if awaited else ""
         return f"sends {what} of {s.source} at {rate}{waits}"
+
+    @property
+    def sent_for_s(self) -> float:
+        """Time [s] from the first sample that was sent to the last one that all subscribers have taken."""
+        return self._last_s - self._first_s
+
+    @property
+    def missing(self) -> list[str]:
+        """Full names of the nodes that are waited for before the first sample."""
+        return sorted(self._pace.missing)
 
     def finish(self) -> None:
         """Send nothing more."""
@@ -156,6 +168,8 @@ class Source(PacedNode):
             self._pace.restart(self.next_step)
         while not self._paused and self._may_send and self._is_due():
             self._send()
+        if self._pace.acknowledged > self.steps:
+            self._last_s = time.monotonic()
         at_end = self._pace.acknowledged == self.samples.steps
         self.taken(self._pace.acknowledged, last=at_end)
         self.is_done = at_end and self.samples.steps > 0 and self._exits_at_end
@@ -179,6 +193,7 @@ class Source(PacedNode):
 
     def _send(self) -> None:
         step, samples = self.next_step, self.samples
+        self._first_s = self._first_s or time.monotonic()
         positions = samples.at(step)
         stamp_ns = round((samples.start_s + step * samples.period_s) * NS)
         self.send(self._to_clock, cdr_messages.clock(stamp_ns))
@@ -317,11 +332,10 @@ class TrueTopics:
 
     def __init__(self, node: PacedNode, vehicles: Iterable[int]) -> None:
         self._node = node
-        numbers = list(vehicles)
-        spaces = [space.lstrip("/") for space in namespaces(numbers)]
         self._motion: dict[int, Any] = {}
         self._parameters: dict[int, Any] = {}
-        for vehicle, space in zip(numbers, spaces, strict=True):
+        for vehicle in vehicles:
+            space = namespace(vehicle)
             self._motion[vehicle] = node.create_publisher(Truth, f"{space}/truth", STREAM)
             self._parameters[vehicle] = node.create_publisher(TrueParameters, f"{space}/true_parameters", LATCHED)
 

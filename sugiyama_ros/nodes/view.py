@@ -30,15 +30,13 @@ from sugiyama_ros.effects.effect import RecordingExtent
 from sugiyama_ros.effects.registry import EFFECTS, effect
 from sugiyama_ros.filters.chain import CHAIN
 from sugiyama_ros.filters.online import OnlineFilter, warm_up
-from sugiyama_ros.formats.truth import namespaces
+from sugiyama_ros.formats.truth import namespace
 from sugiyama_ros.nodes.base import environment
 from sugiyama_ros.nodes.base.cdr_messages import NS
-from sugiyama_ros.nodes.base.feed import DRIVERS_TOPIC
 from sugiyama_ros.nodes.base.incoming import receiver
-from sugiyama_ros.nodes.base.node import AnyPublisher, clients_of
+from sugiyama_ros.nodes.base.node import AnyPublisher, clients_of, followers
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base.samples import Sample
-from sugiyama_ros.nodes.plan import DRIVERS, REPLAY, estimators
 from sugiyama_ros.page.feed import KEPT, Log, Status
 from sugiyama_ros.page.panels.base import MOVING_S
 from sugiyama_ros.road import Road
@@ -161,9 +159,9 @@ class View(Node):
         self._listen(Verdict, "/verdict", self._on_verdict)
         # from one node for all drivers, who then have no topics of their own
         self._are_together = False
-        self._listen(DriverArray, f"/{DRIVERS_TOPIC}", self._on_drivers)
+        self._listen(DriverArray, "/drivers", self._on_drivers)
         self._listen(StyleChange, "/style_change", self._on_change)
-        self._listen_to(expected, expected)
+        self._listen_to(expected)
 
     def _listen(self, kind: type, topic: str, take: Callable[[Any], None], qos: Any = STREAM) -> None:
         """Subscribe to a topic, whatever its publishers offer.
@@ -200,17 +198,17 @@ class View(Node):
 
     def pause(self, paused: bool) -> None:
         """Call the replay's ~/pause or ~/resume."""
-        self._call(Trigger, [f"{REPLAY}/{'pause' if paused else 'resume'}"], Trigger.Request())
+        self._call(Trigger, [f"/replay/{'pause' if paused else 'resume'}"], Trigger.Request())
 
     def set_rate(self, rate: float) -> None:
         """Set the replay's parameter ``rate``."""
         value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=rate)
         request = SetParameters.Request(parameters=[Parameter(name="rate", value=value)])
-        self._call(SetParameters, [f"{REPLAY}/set_parameters"], request)
+        self._call(SetParameters, ["/replay/set_parameters"], request)
         self.rate = rate
 
     def add(self, name: str, values: str) -> None:
-        """Call every estimator's ~/add_effect."""
+        """Call ~/add_effect of every node that follows drivers."""
         if not self.vehicles:
             return
         try:
@@ -225,27 +223,22 @@ class View(Node):
             self.added = tuple(dict.fromkeys([*self.added, name]))
             self._changed(f"{self.titles.get(name, name)} added ({values})")
 
-        self._call(AddEffect, [f"{estimator}/add_effect" for estimator in self._estimators()], request, on_success)
+        self._call(AddEffect, [f"{node}/add_effect" for node in followers(self)], request, on_success)
 
     def remove(self, name: str) -> None:
-        """Call every estimator's ~/remove_effect."""
+        """Call ~/remove_effect of every node that follows drivers."""
 
         def on_success() -> None:
             self.added = tuple(one for one in self.added if one != name)
             self._changed(f"{self.titles.get(name, name)} removed")
 
-        services = [f"{estimator}/remove_effect" for estimator in self._estimators()]
+        services = [f"{node}/remove_effect" for node in followers(self)]
         self._call(RemoveEffect, services, RemoveEffect.Request(effect=name), on_success)
 
     def _changed(self, what: str) -> None:
-        """Note that the estimators have other effects from now on."""
+        """Note that the models have other effects from now on."""
         self._happened(what)
         self._changed_s.append(self._latest_s)
-
-    def _estimators(self) -> Sequence[str]:
-        """Full names of the nodes that follow the drivers."""
-        running = {f"{space.rstrip('/')}/{name}" for name, space in self.get_node_names_and_namespaces()}
-        return [DRIVERS] if DRIVERS in running else estimators(namespaces(self.vehicles))
 
     def _happened(self, what: str) -> None:
         self._events.appendleft(f"{self._latest_s:.0f} s: {what}" if math.isfinite(self._latest_s) else what)
@@ -260,7 +253,7 @@ class View(Node):
     ) -> None:
         """Call services, all with the same request. The first one that succeeds calls ``on_success``."""
         clients, missing = clients_of(self, kind, services)
-        self.said = f"{len(missing)} of {len(services)} services are not there: {missing[0]} ..." if missing else ""
+        self.said = f"{missing[0]} is not there" if missing else "" if services else "no node follows drivers"
         first = [on_success]
 
         def done(client: Client, future: Any) -> None:
@@ -319,15 +312,13 @@ class View(Node):
             self._happened(f"vehicle{'s' * (len(new) > 1)} {', '.join(map(str, new))} on the road")
         else:
             self.space = Log(KEPT * len(new))
-        everybody = sorted([*self.vehicles, *new])
-        self._listen_to([v for v in new if v not in self.driver], everybody)
-        self.vehicles = everybody
+        self._listen_to([v for v in new if v not in self.driver])
+        self.vehicles = sorted([*self.vehicles, *new])
 
-    def _listen_to(self, new: Sequence[int], everybody: Sequence[int]) -> None:
-        """Subscribe to the topics of some of the vehicles."""
-        for v, space in zip(everybody, namespaces(everybody), strict=True):
-            if v not in new:
-                continue
+    def _listen_to(self, vehicles: Sequence[int]) -> None:
+        """Subscribe to the topics of some vehicles."""
+        for v in vehicles:
+            space = f"/{namespace(v)}"
             self._driver[v], self._learnt[v] = Log(KEPT), Log(KEPT)
             self._joined[v] = _Joined(self._driver[v])
             if self._are_together:

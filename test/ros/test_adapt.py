@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from one_driver import OneDriver
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sugiyama_msgs.msg import DriverParameters
@@ -12,7 +13,6 @@ from sugiyama_msgs.srv import AddEffect
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.nodes.base.qos import STREAM
 from sugiyama_ros.nodes.drivers import DriversNode
-from sugiyama_ros.nodes.estimator import Estimator
 from sugiyama_ros.nodes.keeper import file_of, kept_in, read_learnt
 from sugiyama_ros.nodes.replay import Replay
 
@@ -20,12 +20,10 @@ pytestmark = [pytest.mark.ros, pytest.mark.timeout(90)]
 
 
 def test_an_added_effect_is_learnt_published_and_kept(stage, ring_csv: Path, tmp_path: Path) -> None:
-    about = {"source": str(ring_csv), "ring": 100.0, "rate": 0.0, "wait_for": ["/vehicle_00/estimator"]}
+    about = {"source": str(ring_csv), "ring": 100.0, "rate": 0.0, "wait_for": ["/drivers"]}
     replay = Replay(parameter_overrides=[Parameter(k, value=v) for k, v in about.items()])
     given = {"adapt": ["v_star", "kappa_v", "kappa_1", "effects"], "save_state": str(tmp_path)}
-    estimator = Estimator(
-        namespace="/vehicle_00", parameter_overrides=[Parameter(k, value=v) for k, v in given.items()]
-    )
+    estimator = OneDriver(0, **given)
     # as the service does, before the first sample
     request = AddEffect.Request(effect="drag", name=["c0"], value=[0.2])
     assert estimator._on_add_effect(request, AddEffect.Response()).success

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from one_driver import OneDriver
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import SetParameters
@@ -29,7 +30,6 @@ from sugiyama_ros.nodes.base import cdr_messages, incoming
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base.spin import ros
 from sugiyama_ros.nodes.critic import Critic
-from sugiyama_ros.nodes.estimator import Estimator
 from sugiyama_ros.nodes.keeper import kept_in, read_learnt
 from sugiyama_ros.nodes.recorder import Recorder
 from sugiyama_ros.nodes.view import BaseModel
@@ -169,7 +169,7 @@ def test_nodes_go_on_after_bad_messages(stage: Any, tmp_path: Path) -> None:
         DiagnosticArray, "/diagnostics", lambda m: told.update({m.status[0].name: m.status[0]}), STREAM
     )
     talker.create_subscription(VehicleState, "/vehicle_00/state", states.append, STREAM)
-    estimator, critic = Estimator(namespace="/vehicle_00"), Critic()
+    estimator, critic = OneDriver(0), Critic()
     recorder = Recorder(parameter_overrides=[Parameter("output", value=str(tmp_path / "a.mcap"))])
     nodes = (estimator, critic, recorder)
     stage.add(talker, *nodes)
@@ -215,9 +215,9 @@ MISSING = {
 
 
 def test_effects_without_what_they_need_are_refused_by_estimator_and_critic(stage: Any) -> None:
-    estimator, critic = Estimator(namespace="/vehicle_00"), Critic()
+    estimator, critic = OneDriver(0), Critic()
     stage.add(estimator, critic)
-    for service in ("/vehicle_00/estimator/add_effect", "/critic/add_effect"):
+    for service in ("/drivers/add_effect", "/critic/add_effect"):
         for name, values in MISSING.items():
             request = AddEffect.Request(effect=name, name=list(values), value=list(values.values()))
             answer = stage.call(AddEffect, service, request)
@@ -229,16 +229,14 @@ def test_effects_without_what_they_need_are_refused_by_estimator_and_critic(stag
 
 def test_a_request_or_a_message_that_the_code_fails_on_does_not_end_the_node(stage: Any) -> None:
     """rclpy's own services raise for a parameter of an unknown type, and a callback may fail."""
-    estimator = Estimator(namespace="/vehicle_00")
+    estimator = OneDriver(0)
     stage.add(estimator)
     estimator.create_service(Trigger, "~/fails", lambda request, response: 1 // 0)
     estimator.listen(Progress, "/fails", lambda message: 1 // 0, STREAM)
     unknown = ParameterMessage(name="v_star", value=ParameterValue(type=200))
-    answer = stage.call(
-        SetParameters, "/vehicle_00/estimator/set_parameters", SetParameters.Request(parameters=[unknown])
-    )
+    answer = stage.call(SetParameters, "/drivers/set_parameters", SetParameters.Request(parameters=[unknown]))
     assert answer.results == []
-    answer = stage.call(Trigger, "/vehicle_00/estimator/fails", Trigger.Request())
+    answer = stage.call(Trigger, "/drivers/fails", Trigger.Request())
     assert (answer.success, "ZeroDivisionError" in answer.message) == (False, True)
     publisher = estimator.create_publisher(Progress, "/fails", STREAM)
     publisher.publish(Progress())
@@ -277,13 +275,13 @@ def test_the_base_model_begins_anew_where_nobody_can_drive(monkeypatch: pytest.M
 
 def test_a_filter_that_diverges_starts_anew_and_tells(stage: Any) -> None:
     """With a drag below 0, the speed grows faster than exponentially."""
-    estimator = Estimator(namespace="/vehicle_00")
+    estimator = OneDriver(0)
     stage.add(estimator)
-    estimator.on_road(incoming.road(road_of()))
+    estimator._on_road(incoming.road(road_of()))
     request = AddEffect.Request(effect="drag", name=["c0", "c2"], value=[-2.0, -0.1])
-    assert stage.call(AddEffect, "/vehicle_00/estimator/add_effect", request).success
+    assert stage.call(AddEffect, "/drivers/add_effect", request).success
     for step in range(40):
-        estimator.take_in(incoming.sample(sample_of(step)))
+        estimator._take_in(incoming.sample(sample_of(step)))
         assert estimator.follower is not None
         assert np.isfinite(estimator.follower.filter.learnt.mean).all()
     assert estimator.health().level == DiagnosticStatus.ERROR
@@ -293,7 +291,7 @@ def test_a_filter_that_diverges_starts_anew_and_tells(stage: Any) -> None:
 
 @pytest.mark.parametrize(("name", "value"), [("sigma_nu", 0.0), ("sigma_a", 0.0), ("v_star", math.nan)])
 def test_parameters_with_which_no_filter_can_run_are_refused(stage: Any, name: str, value: float) -> None:
-    estimator = Estimator(namespace="/vehicle_00")
+    estimator = OneDriver(0)
     stage.add(estimator)
     before = estimator.get_parameter(name).value
     (answer,) = estimator.set_parameters([Parameter(name, value=value)])
@@ -301,7 +299,7 @@ def test_parameters_with_which_no_filter_can_run_are_refused(stage: Any, name: s
     assert name in answer.reason
     assert estimator.get_parameter(name).value == before
     with pytest.raises((InputError, InvalidParameterValueException), match=name):
-        Estimator(namespace="/vehicle_01", parameter_overrides=[Parameter(name, value=value)])
+        OneDriver(1, **{name: value})
 
 
 STATE = {"names": ["v_star", "kappa_v"], "mean": [2.0, -1.5], "covariance": [[0.1, 0.0], [0.0, 0.1]], "until_ns": 5}

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from one_driver import OneDriver
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from std_srvs.srv import Trigger
 from sugiyama_msgs.msg import DriverParameters, Innovation, Verdict
 from sugiyama_msgs.srv import AddEffect, RemoveEffect, Seek
 
@@ -16,10 +16,9 @@ from sugiyama_ros.filters.causal import filter_chain
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import ADAPT
 from sugiyama_ros.formats.plain_csv import write_csv
-from sugiyama_ros.nodes.base import node as base_node
 from sugiyama_ros.nodes.base.qos import STREAM
 from sugiyama_ros.nodes.critic import Critic
-from sugiyama_ros.nodes.estimator import Estimator
+from sugiyama_ros.nodes.drivers import DriversNode
 from sugiyama_ros.nodes.replay import Replay
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, evenly, simulate
@@ -93,11 +92,11 @@ def test_a_hidden_delay_is_named_added_and_the_error_falls(stage, delayed, tmp_p
     samples = len(delayed.position_m)
     driver = [Parameter(name, value=value) for name, value in OWN.items()]
     ears, critic = Ears(), Critic(parameter_overrides=driver)
-    estimators = [Estimator(namespace=f"/vehicle_{v:02}", parameter_overrides=driver) for v in range(DRIVERS)]
-    about = {"source": str(source), "ring": RING_M, "rate": 0.0}
-    about["wait_for"] = ["/critic", *(f"/vehicle_{v:02}/estimator" for v in range(DRIVERS))]
+    own = {"vehicles": list(range(DRIVERS)), "vehicle_topics": True}
+    drivers = DriversNode(parameter_overrides=[*driver, *(Parameter(name, value=value) for name, value in own.items())])
+    about = {"source": str(source), "ring": RING_M, "rate": 0.0, "wait_for": ["/critic", "/drivers"]}
     replay = Replay(parameter_overrides=[Parameter(k, value=v) for k, v in about.items()])
-    stage.add(replay, critic, ears, *estimators)
+    stage.add(replay, critic, ears, drivers)
     stage.until(lambda: ears.pass_done(samples), 100.0)
     before = ears.rmse()
     verdict = ears.verdicts[-1]
@@ -108,7 +107,7 @@ def test_a_hidden_delay_is_named_added_and_the_error_falls(stage, delayed, tmp_p
 
     request = AddEffect.Request(effect="reaction_delay", name=["delay"], value=[DELAY_S])
     assert stage.call(AddEffect, "/critic/add_effect", request).success
-    stage.until(lambda: all(active(e.follower.filter.parameters) for e in estimators))
+    stage.until(lambda: all(active(d.follower.filter.parameters) for d in drivers.drivers.values()))
     stage.until(lambda: not list(critic.clients))
     assert stage.call(Seek, "/replay/seek", Seek.Request(time_s=0.0)).success
     stage.until(lambda: ears.pass_done(samples), 100.0)
@@ -125,15 +124,15 @@ def test_a_hidden_delay_is_named_added_and_the_error_falls(stage, delayed, tmp_p
 
 
 def test_effects_are_checked_added_and_removed(stage, ring_csv: Path) -> None:
-    about = {"source": str(ring_csv), "ring": 100.0, "rate": 0.0, "wait_for": ["/vehicle_00/estimator"]}
+    about = {"source": str(ring_csv), "ring": 100.0, "rate": 0.0, "wait_for": ["/drivers"]}
     replay = Replay(parameter_overrides=[Parameter(k, value=v) for k, v in about.items()])
-    estimator = Estimator(namespace="/vehicle_00")
+    estimator = OneDriver(0)
     stage.add(replay, estimator)
     stage.until(lambda: estimator.steps == 200)
 
     def add(effect: str, **values: float):
         request = AddEffect.Request(effect=effect, name=list(values), value=list(values.values()))
-        return stage.call(AddEffect, "/vehicle_00/estimator/add_effect", request)
+        return stage.call(AddEffect, "/drivers/add_effect", request)
 
     assert "effect 'teleport': not known" in add("teleport", x=1.0).message
     assert "has no parameter 'weight'" in add("drag", weight=1.0).message
@@ -141,25 +140,14 @@ def test_effects_are_checked_added_and_removed(stage, ring_csv: Path) -> None:
     assert "give c0 or c2" in add("drag").message
     assert add("drag", c0=0.2).success
     assert add("second_leader", weight=0.2).success
-    remove = "/vehicle_00/estimator/remove_effect"
+    remove = "/drivers/remove_effect"
     assert stage.call(RemoveEffect, remove, RemoveEffect.Request(effect="drag")).success
     assert "is not in the model" in stage.call(RemoveEffect, remove, RemoveEffect.Request(effect="drag")).message
 
 
-def test_nothing_waits_for_estimators_that_are_not_there(stage, delayed, tmp_path: Path, monkeypatch) -> None:
-    """One of ten drivers has an estimator, who gets the effect: the answer comes at once, and says who is missing."""
-    monkeypatch.setattr(base_node, "_READY_S", 3600.0)
-    write_csv(delayed, tmp_path / "delayed.csv")
-    about = {"source": str(tmp_path / "delayed.csv"), "ring": RING_M, "rate": 0.0, "start_paused": True}
-    replay = Replay(parameter_overrides=[Parameter(k, value=v) for k, v in about.items()])
-    critic, estimator = Critic(), Estimator(namespace="/vehicle_03")
-    stage.add(replay, critic, estimator)
-    stage.until(lambda: critic.health().message.startswith("nothing heard"))
-    assert stage.call(Trigger, "/replay/step", Trigger.Request()).success
-    stage.until(lambda: critic.health().message.startswith("comparing") and estimator.follower is not None)
+def test_nobody_who_follows_drivers_is_told(stage) -> None:
+    critic = Critic()
+    stage.add(critic)
     request = AddEffect.Request(effect="drag", name=["c0"], value=[0.1])
     refused = stage.call(AddEffect, "/critic/add_effect", request)
-    assert not refused.success
-    missing = ", ".join(f"/vehicle_{v:02}/estimator/add_effect" for v in (0, 1, 2))
-    assert refused.message == f"1 of 10 estimators answer; missing: {missing} ..."
-    stage.until(lambda: active(estimator.follower.filter.parameters) == ("drag",))
+    assert (refused.success, refused.message) == (False, "no node follows drivers")

@@ -10,13 +10,12 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sugiyama_msgs.msg import DriverArray, DriverParameters, MeasuredPositions
 from sugiyama_msgs.msg import Road as RoadMessage
 
-from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.online import Estimate
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.cdr_messages import SEVEN_DIGITS, ArrayWriter, KnownDriver, ParameterNames
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
-from sugiyama_ros.nodes.estimator import Estimator
+from sugiyama_ros.nodes.drivers import DriversNode
 from sugiyama_ros.nodes.run import run
 from sugiyama_ros.page.recording import read_recording
 from sugiyama_ros.trajectories.placing import Positions
@@ -24,7 +23,6 @@ from sugiyama_ros.trajectories.placing import Positions
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
 STATE = ("position_m", "speed", "acceleration", "mean_action", "gap_m", "approach_rate")
 INNOVATION = ("innovation_m", "innovation_var", "nis", "log_likelihood", "scored")
-IN_ARRAY = Parameter("array_topic", value=True)
 
 
 def a_driver(vehicle: int, seed: int, names: ParameterNames) -> KnownDriver:
@@ -94,7 +92,7 @@ def test_the_array_says_what_the_topics_of_each_vehicle_say(ring_csv: Path, tmp_
         counts = {topic.name: topic.count for topic in bag.info().topics}
         arrays = [m.message for m in bag.messages(["/drivers"])]
     assert set(counts) == {"/clock", "/measured", "/drivers", "/road", "/markers", "/diagnostics", "/rosout"} | {
-        f"/vehicle_0{v}/style_change" for v in range(4)
+        "/style_change"
     }
     assert counts["/clock"] == counts["/measured"] == counts["/drivers"] == 200
     by_stamp = {(a.header.stamp.sec, a.header.stamp.nanosec): a for a in arrays}
@@ -133,12 +131,6 @@ def assert_same_parameters(array: DriverArray, message: DriverParameters) -> Non
     assert np.reshape(array.identified, (-1, len(at)))[k].tolist() == np.array(message.identified)[at].tolist()
 
 
-def test_one_message_needs_one_process(ring_csv: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="leave out --processes"):
-        run(ring_csv, tmp_path / "out.mcap", ring_m=100.0, array=True, processes=True)
-    assert not list(tmp_path.glob("out*"))
-
-
 class Hand(Node):
     """Sends samples of four vehicles on a ring, and keeps the arrays."""
 
@@ -162,9 +154,8 @@ class Hand(Node):
 
 
 def test_samples_that_wait_for_the_road_come_in_their_order(stage) -> None:
-    hand, first = Hand(), Estimator(namespace="/vehicle_00", parameter_overrides=[IN_ARRAY])
-    others = (Estimator(first.feed, namespace=f"/vehicle_0{v}", parameter_overrides=[IN_ARRAY]) for v in (1, 2))
-    stage.add(hand, first, *others)
+    hand, drivers = Hand(), DriversNode(parameter_overrides=[Parameter("vehicles", value=[0, 1, 2])])
+    stage.add(hand, drivers)
     stage.until(lambda: hand.count_subscribers("measured") == 1)
     hand.drive(*range(10))
     hand.send_road()
@@ -175,14 +166,3 @@ def test_samples_that_wait_for_the_road_come_in_their_order(stage) -> None:
     hand.drive(8, 9, 10)  # two of them came before
     stage.until(lambda: len(hand.arrays) == 11)
     assert hand.arrays[-1].header.stamp == cdr_messages.time_message(5 * cdr_messages.NS)
-
-
-def test_an_estimator_of_its_own_process_sends_an_array_of_one_driver(stage) -> None:
-    hand, driver = Hand(), Estimator(namespace="/vehicle_02", parameter_overrides=[IN_ARRAY])
-    stage.add(hand, driver)
-    hand.send_road()
-    stage.until(lambda: hand.count_subscribers("measured") == 1 and driver.follower is not None)
-    hand.drive(*range(5))
-    stage.until(lambda: len(hand.arrays) == 5)
-    assert [a.vehicle.tolist() for a in hand.arrays] == [[2]] * 5
-    assert not [topic for topic, _ in hand.get_topic_names_and_types() if topic == "/vehicle_02/state"]

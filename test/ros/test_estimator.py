@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
+from one_driver import OneDriver
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
@@ -14,7 +15,6 @@ from sugiyama_msgs.msg import Road as RoadMessage
 
 from sugiyama_ros.driver.parameters import NAMES, PARAMETERS, population
 from sugiyama_ros.effects.registry import ROW
-from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import Learnt, OnlineFilter
 from sugiyama_ros.fit.classes import DriverTypes
@@ -23,7 +23,6 @@ from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
-from sugiyama_ros.nodes.estimator import Estimator
 from sugiyama_ros.nodes.keeper import Keeper, Kept, file_of, read_learnt, write_learnt
 from sugiyama_ros.road import Road as RingRoad
 
@@ -64,19 +63,19 @@ class Road(Node):
             self.send(k * PERIOD_S, {7: (5.0 * k * PERIOD_S) % 100.0, 8: (30.0 + 5.0 * k * PERIOD_S) % 100.0})
 
     def _on_health(self, array: DiagnosticArray) -> None:
-        self.health += [(s.level, s.message) for s in array.status if s.name == "/vehicle_07/estimator"]
+        self.health += [(s.level, s.message) for s in array.status if s.name == "/drivers"]
 
 
 @pytest.fixture
-def pair(stage) -> tuple[Road, Estimator]:
+def pair(stage) -> tuple[Road, OneDriver]:
     """A `Road`, and the estimator of vehicle 7, which has received the road."""
-    road, estimator = Road(), Estimator(namespace="/vehicle_07")
+    road, estimator = Road(), OneDriver(7)
     stage.add(road, estimator)
     stage.until(lambda: estimator.health().level == OK)
     return road, estimator
 
 
-def values(estimator: Estimator) -> dict[str, object]:
+def values(estimator: OneDriver) -> dict[str, object]:
     """Counts in the estimator's health."""
     return dict(estimator.health().values)
 
@@ -85,7 +84,7 @@ def test_the_node_publishes_the_filters_results(stage, ring_csv: Path) -> None:
     trajectories = read_trajectories(ring_csv, 100.0)
     chain = chain_behind(trajectories, 2)
     filter_ = OnlineFilter(trajectories.period_s, trajectories.road)
-    road, estimator = Node("hand"), Estimator(namespace="/vehicle_02")
+    road, estimator = Node("hand"), OneDriver(2)
     states: list[VehicleState] = []
     innovations: list[Innovation] = []
     road.create_subscription(VehicleState, "vehicle_02/state", states.append, STREAM)
@@ -123,7 +122,7 @@ def test_a_missing_position_is_predicted_over(stage, pair) -> None:
     road.send(11 * PERIOD_S, {8: 57.5})  # vehicle 7 is not in the message at all
     stage.until(lambda: len(road.innovations) == 12)
     assert estimator.health().level == WARN
-    assert estimator.health().message == "2 samples missing in a row"
+    assert estimator.health().message == "vehicle 7: 2 samples missing in a row"
     road.drive(12, 14)
     stage.until(lambda: len(road.innovations) == len(road.states) == 14)
     assert [isnan(i.innovation_m) for i in road.innovations[5:]] == [False] * 5 + [True] * 2 + [False] * 2
@@ -243,7 +242,7 @@ def test_swapped_samples_are_sorted_in(stage) -> None:
     """10 Hz; every tenth sample comes after the next one. The filter ends where it would have without that."""
     ends = []
     for swapped in (False, True):
-        road, estimator = Road(), Estimator(namespace="/vehicle_07")
+        road, estimator = Road(), OneDriver(7)
         stage.add(road, estimator)
         road.to_road.publish(RoadMessage(circumference_m=0.0, period_s=0.1))
         stage.until(lambda e=estimator: e.health().level == OK)
@@ -270,7 +269,7 @@ def test_reset_on_request(stage, pair) -> None:
     road, _estimator = pair
     road.drive(0, 5)
     stage.until(lambda: len(road.states) == 5)
-    assert stage.call(Trigger, "/vehicle_07/estimator/reset", Trigger.Request()).success
+    assert stage.call(Trigger, "/drivers/reset", Trigger.Request()).success
     road.drive(5, 6)
     stage.until(lambda: len(road.innovations) == 6)
     assert isnan(road.innovations[5].innovation_m)
@@ -322,7 +321,7 @@ def test_a_failure_is_reported_once_and_the_stream_continues(
 
 def test_the_filter_starts_from_the_nodes_parameters(stage) -> None:
     road = Road()
-    estimator = Estimator(namespace="/vehicle_07", parameter_overrides=[Parameter("v_star", value=15.0)])
+    estimator = OneDriver(7, v_star=15.0)
     stage.add(road, estimator)
     stage.until(lambda: estimator.health().level == OK)
     road.drive(0, 1)
@@ -339,7 +338,7 @@ def test_the_type_of_the_driver_is_published(stage, ring_csv: Path, tmp_path: Pa
     types = DriverTypes(np.array([0.75, 0.25]), kinds)
     write_drivers(file, trajectories, ROW.with_effects(np.tile(population(), (4, 1))), [{}] * 4, {}, 0.0, types)
     road, told = Road(), []
-    estimator = Estimator(namespace="/vehicle_07", parameter_overrides=[Parameter("model", value=str(file))])
+    estimator = OneDriver(7, model=str(file))
     road.create_subscription(DriverType, "vehicle_07/driver_type", told.append, STREAM)
     stage.add(road, estimator)
     stage.until(lambda: estimator.health().level == OK)
@@ -355,7 +354,7 @@ def test_what_was_learnt_is_forgotten_when_the_user_sets_a_parameter(stage, tmp_
     learnt = Learnt(("sigma_nu", "sigma_a", "v_star", "kappa_v"), np.log([0.2, 0.5, 12.0, 0.3]), 0.01 * np.eye(4))
     write_learnt(file_of(tmp_path, 7), Kept(learnt, -1))
     road = Road()
-    estimator = Estimator(namespace="/vehicle_07", parameter_overrides=[Parameter("resume", value=str(tmp_path))])
+    estimator = OneDriver(7, resume=str(tmp_path))
     stage.add(road, estimator)
     stage.until(lambda: estimator.health().level == OK)
     road.drive(0, 1)
@@ -375,10 +374,9 @@ def test_a_killed_node_continues_from_its_file(stage, tmp_path: Path) -> None:
     """The node is killed after 30 s; its file is from 20 s. It goes on from there with the samples that come then."""
     noise = np.random.default_rng(1).normal(0.0, 0.26, (80, 2))
     position = (np.array([0.0, 30.0]) + 5.0 * PERIOD_S * np.arange(80)[:, None] + noise) % 100.0
-    road, kept = Road(), [Parameter("save_state", value=str(tmp_path))]
-    first = Estimator(namespace="/vehicle_07", parameter_overrides=kept)
+    road, first = Road(), OneDriver(7, save_state=str(tmp_path))
 
-    def drive(estimator: Estimator, begin: int, end: int) -> None:
+    def drive(estimator: OneDriver, begin: int, end: int) -> None:
         for k in range(begin, end):
             road.send(k * PERIOD_S, dict(zip((7, 8), position[k].tolist(), strict=True)))
         last_ns = round((end - 1) * PERIOD_S * cdr_messages.NS)
@@ -390,8 +388,7 @@ def test_a_killed_node_continues_from_its_file(stage, tmp_path: Path) -> None:
         drive(first, begin, begin + 20)
     saved = read_learnt(file_of(tmp_path, 7))
     stage.kill(first)
-    again = Estimator(namespace="/vehicle_07", parameter_overrides=[Parameter("resume", value=str(tmp_path))])
-    assert again.known[7].learnt.mean.tolist() == saved.learnt.mean.tolist()
+    again = OneDriver(7, resume=str(tmp_path))
     assert saved.until_ns == 20 * cdr_messages.NS
     stage.add(again)
     # the road is latched; the samples since its predecessor's last file are gone
@@ -414,9 +411,9 @@ def test_a_killed_node_continues_from_the_keeper(stage) -> None:
     road, keeper = Road(), Keeper()
     kept: list[DriverParameters] = []
     road.create_subscription(DriverParameters, "vehicle_07/_kept_parameters", kept.append, LATCHED)
-    first = Estimator(namespace="/vehicle_07", parameter_overrides=[Parameter("ask_keeper", value=True)])
+    first = OneDriver(7, ask_keeper=True)
 
-    def drive(estimator: Estimator, begin: int, end: int) -> None:
+    def drive(estimator: OneDriver, begin: int, end: int) -> None:
         for k in range(begin, end):
             road.send(k * PERIOD_S, dict(zip((7, 8), position[k].tolist(), strict=True)))
         last_ns = round((end - 1) * PERIOD_S * cdr_messages.NS)
@@ -428,7 +425,7 @@ def test_a_killed_node_continues_from_the_keeper(stage) -> None:
         drive(first, begin, begin + 20)
     stage.until(lambda: bool(kept) and kept[-1].header.stamp.sec == 29)
     stage.kill(first)
-    again = Estimator(namespace="/vehicle_07", parameter_overrides=[Parameter("ask_keeper", value=True)])
+    again = OneDriver(7, ask_keeper=True)
     stage.add(again)
     drive(again, 60, 80)
     assert again.known[7].until_ns == 29 * cdr_messages.NS
@@ -441,7 +438,7 @@ def test_a_killed_node_continues_from_the_keeper(stage) -> None:
 
 def test_without_a_keeper_an_estimator_soon_begins(stage) -> None:
     road = Road()
-    estimator = Estimator(namespace="/vehicle_07", parameter_overrides=[Parameter("ask_keeper", value=True)])
+    estimator = OneDriver(7, ask_keeper=True)
     road.drive(0, 20)
     stage.add(road, estimator)
     stage.until(lambda: values(estimator)["samples"] == 20)
@@ -450,7 +447,7 @@ def test_without_a_keeper_an_estimator_soon_begins(stage) -> None:
 def test_samples_that_come_before_the_road_are_not_lost(stage, ring_csv: Path) -> None:
     road = Road()
     road.destroy_publisher(road.to_road)
-    estimator = Estimator(namespace="/vehicle_07")
+    estimator = OneDriver(7)
     road.drive(0, 20)
     stage.add(road, estimator)
     stage.for_a_while(0.5)
@@ -468,8 +465,3 @@ def test_parameters_have_ranges_and_descriptions(pair) -> None:
         assert p.unit in descriptor.description
     (answer,) = estimator.set_parameters([Parameter("rho", value=1.5)])
     assert not answer.successful
-
-
-def test_a_namespace_without_a_vehicle_is_an_error(stage) -> None:
-    with pytest.raises(InputError, match="names no vehicle; start it with -r __ns:=/vehicle_07"):
-        Estimator(namespace="/somewhere")

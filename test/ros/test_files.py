@@ -14,7 +14,6 @@ from sugiyama_ros.nodes.base.environment import is_free
 from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.critic import Critic
 from sugiyama_ros.nodes.drivers import DriversNode
-from sugiyama_ros.nodes.estimator import Estimator
 from sugiyama_ros.nodes.recorder import Recorder
 from sugiyama_ros.nodes.replay import Replay
 from sugiyama_ros.nodes.simulator import SimulatorNode
@@ -22,7 +21,7 @@ from sugiyama_ros.nodes.tracks import TracksNode
 
 ROOT = Path(__file__).parents[2]
 WITHOUT_PARAMETERS = "keeper"
-EXECUTABLES = ("critic", "drivers", "estimator", "recorder", "replay", "simulator", "tracks")
+EXECUTABLES = ("critic", "drivers", "recorder", "replay", "simulator", "tracks")
 
 
 def make(executable: str, road_csv: Path, tmp_path: Path) -> PacedNode:
@@ -31,8 +30,6 @@ def make(executable: str, road_csv: Path, tmp_path: Path) -> PacedNode:
         return Critic()
     if executable == "drivers":
         return DriversNode()
-    if executable == "estimator":
-        return Estimator(namespace="/vehicle_00")
     if executable == "recorder":
         return Recorder(parameter_overrides=[Parameter("output", value=str(tmp_path / "out.mcap"))])
     if executable == "replay":
@@ -55,7 +52,7 @@ def test_parameter_files_say_what_the_code_does(stage, road_csv: Path, tmp_path:
         assert node.has_parameter(name), name
         assert node.get_parameter(name).value == value, name
         assert node.describe_parameter(name).description, name
-    if executable in ("drivers", "estimator"):
+    if executable == "drivers":
         assert set(NAMES) <= set(given)
     node.close()
 

@@ -40,7 +40,7 @@ def prefix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     pytest.importorskip("launch_ros.actions", reason="launch and launch_ros are not installed")
     folder = tmp_path / "install"
     (folder / "lib/sugiyama_ros").mkdir(parents=True)
-    for node in ("recorder", "replay", "simulator", "estimator", "keeper", "critic", "drivers", "tracks"):
+    for node in ("recorder", "replay", "simulator", "keeper", "critic", "drivers", "tracks"):
         start = folder / "lib/sugiyama_ros" / f"sugiyama_{node}"
         start.write_text(f"#!{sys.executable}\nfrom sugiyama_ros.nodes.executables import {node}\n{node}()\n")
         start.chmod(0o755)
@@ -98,7 +98,7 @@ def test_ctrl_c_leaves_a_whole_bag(prefix: Path, tmp_path: Path) -> None:
     config.mkdir()
     for file in (ROOT / "config").iterdir():
         document = yaml.safe_load(file.read_text())
-        if file.stem in ("estimator", "simulator"):
+        if file.stem in ("drivers", "simulator"):
             document["/**"]["ros__parameters"]["v_star"] = 10
         (config / file.name).write_text(yaml.safe_dump(document))
     log, output = tmp_path / "said.txt", tmp_path / "out.mcap"

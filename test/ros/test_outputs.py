@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
+from one_driver import OneDriver
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
@@ -15,7 +16,6 @@ from sugiyama_msgs.msg import MeasuredPositions, Road
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.nodes.base.qos import STREAM
-from sugiyama_ros.nodes.estimator import Estimator
 from sugiyama_ros.nodes.replay import Replay
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(90)]
@@ -27,10 +27,10 @@ def seconds(message: Any) -> float:
 
 
 def test_standard_messages_of_now_and_of_the_next_seconds(stage, ring_csv: Path) -> None:
-    about = {"source": str(ring_csv), "ring": 100.0, "rate": 0.0, "wait_for": ["/vehicle_00/estimator"]}
+    about = {"source": str(ring_csv), "ring": 100.0, "rate": 0.0, "wait_for": ["/drivers"]}
     replay = Replay(parameter_overrides=[Parameter(k, value=v) for k, v in about.items()])
     names = {"odometry": Odometry, "predicted_path": PathMessage, "predicted_odometry": Odometry}
-    estimator = Estimator(namespace="/vehicle_00", parameter_overrides=[Parameter("publish", value=[*names])])
+    estimator = OneDriver(0, publish=[*names])
     heard: dict[str, list[Any]] = defaultdict(list)
     ears = Node("ears")
     for name, kind in names.items():
@@ -71,12 +71,12 @@ def test_standard_messages_of_now_and_of_the_next_seconds(stage, ring_csv: Path)
 
 def test_an_unknown_output_is_refused(stage) -> None:
     with pytest.raises(InputError, match="'steering' is not known; give odometry, predicted_path"):
-        Estimator(namespace="/vehicle_00", parameter_overrides=[Parameter("publish", value=["steering"])])
+        OneDriver(0, publish=["steering"])
 
 
 def test_an_estimator_hears_a_sensor_on_a_remapped_topic(stage) -> None:
     """Best effort and volatile, on another name; until then, the health says on which topic nothing was heard."""
-    estimator = Estimator(namespace="/vehicle_01", cli_args=["--ros-args", "-r", "measured:=/perception/seen"])
+    estimator = OneDriver(1, cli_args=["--ros-args", "-r", "measured:=/perception/seen"])
     world = Node("world")
     to_road = world.create_publisher(Road, "/road", qos_profile_sensor_data)
     to_measured = world.create_publisher(MeasuredPositions, "/perception/seen", qos_profile_sensor_data)

@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,11 +13,11 @@ import pytest
 from sugiyama_ros.errors import InputError, OutputError, SugiyamaError
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.registry import read_trajectories
-from sugiyama_ros.formats.truth import namespaces, read_truth
+from sugiyama_ros.formats.truth import read_truth
 from sugiyama_ros.nodes import recorder, source
 from sugiyama_ros.nodes.base.node import PacedNode
-from sugiyama_ros.nodes.driver import Follower
-from sugiyama_ros.nodes.estimator import Estimator
+from sugiyama_ros.nodes.drivers import DriversNode
+from sugiyama_ros.nodes.follower import Follower
 from sugiyama_ros.nodes.plan import FromSimulator
 from sugiyama_ros.nodes.run import RunResult, run
 from sugiyama_ros.simulation.experiment import Experiment
@@ -47,11 +46,10 @@ def assert_nothing_lost(result: RunResult, output: Path) -> None:
     }
 
 
-@pytest.mark.parametrize("processes", [False, True])
-def test_nothing_is_lost_at_full_speed(ring_csv: Path, tmp_path: Path, processes: bool) -> None:
+def test_nothing_is_lost_at_full_speed(ring_csv: Path, tmp_path: Path) -> None:
     output = tmp_path / "out.mcap"
     told: list[tuple[int, int]] = []
-    result = run(ring_csv, output, ring_m=100.0, processes=processes, on_progress=lambda k, n: told.append((k, n)))
+    result = run(ring_csv, output, ring_m=100.0, on_progress=lambda k, n: told.append((k, n)))
     assert_nothing_lost(result, output)
     assert [d.vehicle for d in result.drivers] == [0, 1, 2, 3]
     assert all(0.05 < d.one_step_rmse_m < 2.0 for d in result.drivers)
@@ -178,87 +176,34 @@ def test_a_slow_estimator_loses_nothing(ring_csv: Path, tmp_path: Path, monkeypa
     assert_nothing_lost(run(ring_csv, tmp_path / "out.mcap", ring_m=100.0), tmp_path / "out.mcap")
 
 
-def test_an_estimator_that_stops_is_left_behind(
-    ring_csv: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_node_that_stops_is_left_behind(ring_csv: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(source, "PATIENCE_S", 2.0)  # a node that is well tells how far it is at least once a second
     monkeypatch.setattr(recorder, "PATIENCE_S", 1.0)
     monkeypatch.setattr(sys.modules[run.__module__], "STOP_S", 1.0)
-    take_in, beat = Estimator.take_in, PacedNode.beat
+    take_in, beat = DriversNode._take_in, PacedNode.beat
 
     def is_stuck(node: PacedNode) -> bool:
-        return isinstance(node, Estimator) and node.vehicle == 2 and node.steps >= 50
+        return isinstance(node, DriversNode) and node.steps >= 50
 
-    monkeypatch.setattr(Estimator, "take_in", lambda self, raw: None if is_stuck(self) else take_in(self, raw))
+    monkeypatch.setattr(DriversNode, "_take_in", lambda self, raw: None if is_stuck(self) else take_in(self, raw))
     monkeypatch.setattr(PacedNode, "beat", lambda self: None if is_stuck(self) else beat(self))
     result = run(ring_csv, tmp_path / "out.mcap", ring_m=100.0)
     assert result.steps == 200
-    # State and innovation of this driver in 150 steps; nothing of the other drivers is missing.
-    assert result.messages_lost == 300
+    # State and innovation of four drivers in 150 steps.
+    assert result.messages_lost == 1200
     with Bag(tmp_path / "out.mcap") as bag:
         counts = {topic.name: topic.count for topic in bag.info().topics}
         told = {s.message for m in bag.messages(["/diagnostics"]) for s in m.message.status}
-    assert counts["/vehicle_02/state"] == 50
-    assert counts["/vehicle_01/state"] == 200
-    assert "gave up waiting for /vehicle_02/estimator" in told
-    assert "gave up waiting for /vehicle_02/innovation, /vehicle_02/state" in told
+    assert (counts["/vehicle_02/state"], counts["/measured"]) == (50, 200)
+    assert "gave up waiting for /drivers" in told
+    assert any(text.startswith("gave up waiting for /vehicle_00/innovation, /vehicle_00/state") for text in told)
 
 
-def children(of: int) -> list[int]:
-    """Processes that process ``of`` has started; without the helper that Python starts beside shared memory."""
-    found = [int(pid) for pid in Path(f"/proc/{of}/task/{of}/children").read_text().split()]
-    return [pid for pid in found if "resource_tracker" not in command_line(pid)]
-
-
-def command_line(pid: int) -> str:
-    """How a process was started."""
-    return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
-
-
-def kill_when_running(output: Path, wanted: str) -> threading.Thread:
-    """Kill the child of this process whose command line contains ``wanted`` as soon as the run writes its file."""
-
-    def kill() -> None:
-        while not any(part.stat().st_size > 10_000 for part in output.parent.glob(f"{output.name}.*.part")):
-            time.sleep(0.05)
-        for pid in children(os.getpid()):
-            if wanted in command_line(pid):
-                os.kill(pid, signal.SIGKILL)
-
-    thread = threading.Thread(target=kill, daemon=True)
-    thread.start()
-    return thread
-
-
-@pytest.mark.parametrize("wanted", ["vehicle_02", "nodes.replay"])
-def test_a_killed_process_ends_the_run_with_one_line(ring_csv: Path, tmp_path: Path, wanted: str) -> None:
-    output = tmp_path / "out.mcap"
-    killer = kill_when_running(output, wanted)
-    name = "/vehicle_02/estimator" if wanted == "vehicle_02" else "/replay"
-    with pytest.raises(SugiyamaError, match=f"^{name}: ended with code -9: said nothing; its log is /") as caught:
-        run(ring_csv, output, ring_m=100.0, rate=10.0, processes=True)
-    killer.join(5.0)
-    assert "\n" not in str(caught.value)
-    assert children(os.getpid()) == []
-    with Bag(output) as bag:  # the others stopped in good order
-        assert bag.info().messages > 0
-
-
-def test_a_killed_recorder_leaves_what_it_had_written(ring_csv: Path, tmp_path: Path) -> None:
-    output = tmp_path / "out.mcap"
-    kill_when_running(output, "nodes.recorder")
-    with pytest.raises(SugiyamaError, match=r"^/recorder: ended with code -9"):
-        run(ring_csv, output, ring_m=100.0, rate=10.0, processes=True)
-    assert not output.exists()
-    assert len(list(output.parent.glob("out.mcap.*.part"))) == 1
-
-
-@pytest.mark.parametrize("processes", [False, True])
-def test_ctrl_c_leaves_a_closed_file(ring_csv: Path, tmp_path: Path, processes: bool) -> None:
+def test_ctrl_c_leaves_a_closed_file(ring_csv: Path, tmp_path: Path) -> None:
     output = tmp_path / "out.mcap"
     code = (
         "import sys; from pathlib import Path; from sugiyama_ros.nodes.run import run;"
-        f"r = run(Path({str(ring_csv)!r}), Path({str(output)!r}), rate=2.0, ring_m=100.0, processes={processes},"
+        f"r = run(Path({str(ring_csv)!r}), Path({str(output)!r}), rate=2.0, ring_m=100.0,"
         "on_progress=lambda k, n: k >= 8 and print('going', flush=True));"
         "print('ended', r.interrupted, r.messages_lost, r.steps, flush=True)"
     )
@@ -289,23 +234,12 @@ def test_bad_input_starts_nothing(ring_csv: Path, tmp_path: Path) -> None:
 
 
 def test_a_node_that_is_refused_leaves_the_old_recording(tmp_path: Path) -> None:
-    """Also with --overwrite, and where the recorder runs before the simulator finds that its cars have no room."""
+    """Also with --overwrite."""
     (tmp_path / "out.mcap").write_bytes(b"precious")
     crowded = FromSimulator(22, Experiment(ring_m=60.0, duration_s=5.0))
     with pytest.raises(SugiyamaError, match="22 vehicles with gaps of 2 m need 137 m"):
-        run(crowded, tmp_path / "out.mcap", overwrite=True, processes=True)
+        run(crowded, tmp_path / "out.mcap", overwrite=True)
     assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("out.mcap", b"precious")]
-
-
-def test_a_refused_output_starts_no_process(ring_csv: Path, tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match="cannot be written"):
-        run(ring_csv, tmp_path / "missing" / "out.mcap", ring_m=100.0, processes=True)
-    assert children(os.getpid()) == []
-
-
-def test_namespaces_have_as_many_digits_as_needed() -> None:
-    assert namespaces([0, 7, 21]) == ["/vehicle_00", "/vehicle_07", "/vehicle_21"]
-    assert namespaces([7, 1234]) == ["/vehicle_0007", "/vehicle_1234"]
 
 
 def test_a_run_that_is_refused_leaves_no_road_behind(ring_csv, tmp_path):

@@ -9,7 +9,6 @@ from rclpy.serialization import deserialize_message
 from sugiyama_msgs.msg import DriverArray, MeasuredPositions, Verdict
 from sugiyama_msgs.srv import AddEffect, Seek
 
-from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.nodes import live
@@ -17,7 +16,7 @@ from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER
 from sugiyama_ros.nodes.base.spin import Spinner
 from sugiyama_ros.nodes.critic import Critic
 from sugiyama_ros.nodes.drivers import DriversNode
-from sugiyama_ros.nodes.plan import MOST_NODES, RunSettings
+from sugiyama_ros.nodes.plan import RunSettings
 from sugiyama_ros.nodes.replay import Replay, TrackSamples
 from sugiyama_ros.nodes.run import run
 
@@ -51,10 +50,9 @@ def messages(bag: Path, topic: str, kind: type) -> list[object]:
         return [deserialize_message(raw, kind) for _, _, _, raw in opened.raw_messages({topic})]
 
 
-@pytest.mark.parametrize("processes", [False, True])
-def test_one_node_follows_who_is_in_view(tracks_csv: Path, tmp_path: Path, processes: bool) -> None:
+def test_one_node_follows_who_is_in_view(tracks_csv: Path, tmp_path: Path) -> None:
     output = tmp_path / "out.mcap"
-    result = run(tracks_csv, output, processes=processes)
+    result = run(tracks_csv, output)
     assert (result.steps, result.vehicles, result.messages_lost) == (140, 4, 0)
     sent = messages(output, "/measured", MeasuredPositions)
     known = messages(output, "/drivers", DriverArray)
@@ -106,15 +104,6 @@ def test_a_live_page_leaves_the_critic_out_where_many_are_in_view(
     # two drivers at 10 Hz
     monkeypatch.setattr(live, "_CRITIC_AT_MOST", 19.0)
     assert not live._plan(tracks_csv, tmp_path / "out.mcap", settings).settings.critic
-
-
-def test_what_does_not_work_is_said_up_front(tracks_csv: Path, tmp_path: Path) -> None:
-    many = tmp_path / "many.csv"
-    lines = ["time_s,vehicle,position_m"]
-    lines += [f"{0.5 * k},{v},{20.0 * v + k}" for k in range(3) for v in range(MOST_NODES + 1)]
-    many.write_text("\n".join(lines) + "\n")
-    with pytest.raises(InputError, match=f"at most {MOST_NODES}; convert"):
-        run(many, tmp_path / "out.mcap")
 
 
 def test_a_second_source_in_the_same_domain_is_refused(stage, tracks_csv: Path) -> None:

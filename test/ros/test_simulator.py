@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from one_driver import OneDriver
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
@@ -14,7 +15,6 @@ from sugiyama_msgs.srv import SetDriver
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.truth import read_truth
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
-from sugiyama_ros.nodes.estimator import Estimator
 from sugiyama_ros.nodes.plan import FromSimulator
 from sugiyama_ros.nodes.run import run
 from sugiyama_ros.nodes.simulator import SimulatorNode
@@ -111,8 +111,8 @@ def test_a_start_that_is_not_possible(stage, wrong: dict[str, Any], why: str) ->
 
 def test_a_changed_driver_is_a_change_of_style(stage) -> None:
     """A driver with a free road wants to drive a third slower. The estimator tells of it, and of nothing before."""
-    node = simulator(vehicles=3, ring=600.0, start="equal", rate=0.0, wait_for=["/vehicle_01/estimator"])
-    listener, estimator = Listener(1), Estimator(namespace="/vehicle_01")
+    node = simulator(vehicles=3, ring=600.0, start="equal", rate=0.0, wait_for=["/drivers"])
+    listener, estimator = Listener(1), OneDriver(1)
     stage.add(node, listener, estimator)
     stage.until(lambda: len(listener.samples) > 300, 40.0)
     assert stage.call(Trigger, "/simulator/pause", Trigger.Request()).success

@@ -71,7 +71,6 @@ def test_a_page_hears_of_drivers_who_come_and_go_in_one_message(stage) -> None:
     assert view.now[120][1] == 10.0
     assert view.followers == {120}  # of the first one, who follows nobody, nothing is learnt
     assert view.adapted[120] == pytest.approx((9.0, 0.5, 0.3, 0.1))
-    assert view._estimators() == ["/drivers"]
 
 
 def test_states_that_come_after_their_innovations_stand_at_their_own_times(stage) -> None:
@@ -115,7 +114,7 @@ def test_an_effect_that_nobody_takes_is_not_added_and_nothing_waits(stage, monke
     stage.until(lambda: len(view.vehicles) == 30)
     monkeypatch.setattr(base_node, "_READY_S", 3600.0)
     view.add("drag", "c0=0.1")
-    assert view.said == "30 of 30 services are not there: /vehicle_00/estimator/add_effect ..."
+    assert view.said == "no node follows drivers"
     assert view.added == ()
 
 

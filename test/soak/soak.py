@@ -35,7 +35,7 @@ from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.recover import recover
 from sugiyama_ros.nodes.base import environment
 from sugiyama_ros.nodes.base.qos import STREAM, reliable
-from sugiyama_ros.nodes.base.spin import RUNNER, Spinner, ros
+from sugiyama_ros.nodes.base.spin import Spinner, ros
 
 NODES = ("replay", "drivers", "critic", "recorder")
 #: What a kill may take [s], and how long a node may take to end when it is asked to.
@@ -142,7 +142,7 @@ class Soak:
         with (self.folder / f"{name}.log").open("ab") as log:
             child = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, cwd=self.folder,
-                start_new_session=True, env=os.environ | {RUNNER: str(os.getpid()), "PYTHONFAULTHANDLER": "1"},
+                start_new_session=True, env=os.environ | {"PYTHONFAULTHANDLER": "1"},
             )  # fmt: skip
         self.running[name] = Process(name, child, output)
 

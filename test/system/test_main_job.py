@@ -1,8 +1,6 @@
 """The main job as a process of its own, on the measured experiment if it is there; and what a kill leaves."""
 
 import json
-import os
-import signal
 import subprocess
 import sys
 import time
@@ -51,17 +49,6 @@ def test_nothing_of_the_measured_experiment_is_lost(recorded):
     # the value depends on the machine and its load: 120 on 4 idle cores
     assert result["real_time_factor"] > 0
     assert [d["vehicle"] for d in result["drivers"]] == list(range(22))
-
-
-@pytest.mark.slow
-@measured
-def test_nothing_is_lost_between_processes(recorded, tmp_path):
-    _, alone = recorded
-    out = sugiyama("run", CASE1, "--rate", "max", "--processes", "-o", tmp_path / "out.mcap", "--json").stdout
-    result = json.loads(out)
-    assert (result["steps"], result["vehicles"], result["messages_lost"]) == (751, 22, 0)
-    # the same estimates to the last digit: nothing depends on which process was faster
-    assert result["drivers"] == alone["drivers"]
 
 
 @measured
@@ -115,14 +102,13 @@ def test_what_is_learnt_online_predicts_the_measured_experiment_nearly_as_well_a
     assert np.mean(scored) > 0.98 * 0.4127
 
 
-@pytest.mark.parametrize("mode", [[], ["--processes"]])
-def test_kill_9_in_mid_run_loses_at_most_a_second(tmp_path, mode):
-    """The recorder is killed, in one process with all nodes. What it had for a second must be in the file."""
+def test_kill_9_in_mid_run_loses_at_most_a_second(tmp_path):
+    """The process with all nodes is killed. What it had for a second must be in the file."""
     source, output = tmp_path / "ring.csv", tmp_path / "out.mcap"
     part = output.with_suffix(".mcap.part")
     sugiyama("simulate", "-o", source, "--vehicles", "4", "--ring", "60", "--duration", "200", "--period", "0.1")
     run = subprocess.Popen(
-        [*SUGIYAMA, "run", str(source), "--ring", "60", "-o", str(output), "--rate", "2", *mode],
+        [*SUGIYAMA, "run", str(source), "--ring", "60", "-o", str(output), "--rate", "2"],
         stderr=subprocess.PIPE,
         text=True,
     )
@@ -132,14 +118,9 @@ def test_kill_9_in_mid_run_loses_at_most_a_second(tmp_path, mode):
         assert run.poll() is None, run.stderr.read() if run.stderr else ""
         assert time.monotonic() < deadline
         time.sleep(0.05)
-    victim = recorder_of(run.pid) if mode else run.pid
     killed_ns = time.time_ns()
-    os.kill(victim, signal.SIGKILL)
-    _, said = run.communicate(timeout=60)
-    if mode:
-        assert run.returncode == 2
-        assert said.startswith("error: /recorder: ended with code -9")
-        assert said.count("\n") == 1
+    run.kill()
+    run.communicate(timeout=60)
     assert not output.exists()
     (part,) = tmp_path.glob("out.mcap.*.part")
     written_ns = part.stat().st_mtime_ns
@@ -154,19 +135,6 @@ def test_kill_9_in_mid_run_loses_at_most_a_second(tmp_path, mode):
     assert len(times) > 20
 
 
-def recorder_of(runner: int) -> int:
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            try:
-                words = (entry / "cmdline").read_bytes().split(b"\0")
-                parent = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
-            except OSError:
-                continue
-            if parent == runner and b"sugiyama_ros.nodes.recorder" in words:
-                return int(entry.name)
-    raise AssertionError("no recorder")
-
-
 def test_all_drivers_in_one_message(tmp_path):
     source, output = tmp_path / "ring.csv", tmp_path / "run.mcap"
     sugiyama("simulate", "-o", source, "--vehicles", "4", "--ring", "60", "--duration", "20")
@@ -177,9 +145,6 @@ def test_all_drivers_in_one_message(tmp_path):
     assert "/vehicle_00/state" not in topics
     first = json.loads(sugiyama("echo", output, "/drivers", "--json").stdout)[0]
     assert first["message"]["vehicle"] == [0, 1, 2, 3]
-    refused = sugiyama("run", source, "--ring", "60", "-o", tmp_path / "x.mcap", "--array", "--processes", code=2)
-    assert refused.stderr.count("\n") == 1
-    assert "--processes" in refused.stderr
 
 
 def test_the_drivers_of_a_run_become_known(tmp_path):

@@ -15,7 +15,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 COLCON = "colcon-common-extensions==0.3.0"
-NODES = ("critic", "drivers", "estimator", "keeper", "recorder", "replay", "simulator", "tracks")
+NODES = ("critic", "drivers", "keeper", "recorder", "replay", "simulator", "tracks")
 PROGRAMS = {"sugiyama", *(f"sugiyama_{node}" for node in NODES)}
 INTERFACES = sorted([*ROOT.glob("msg_defs/msg/*.msg"), *ROOT.glob("msg_defs/srv/*.srv")])
 

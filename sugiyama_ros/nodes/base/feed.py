@@ -1,22 +1,16 @@
-"""What comes from the road to the nodes of a process that follow vehicles, and what a sample is that arrives."""
+"""What comes from the road to a node that follows vehicles, and what a sample is that arrives."""
 
-from collections import defaultdict, deque
+from collections import deque
 from collections.abc import Callable
 from enum import Enum, auto
-from functools import partial
-from typing import Protocol
 
-from sugiyama_msgs.msg import DriverArray, MeasuredPositions
+from sugiyama_msgs.msg import MeasuredPositions
 from sugiyama_msgs.msg import Road as RoadMessage
 
-from sugiyama_ros.nodes.base.cdr_messages import NS, ArrayWriter, KnownDriver
-from sugiyama_ros.nodes.base.incoming import RefusedError, receiver
-from sugiyama_ros.nodes.base.node import AnyPublisher, PacedNode
+from sugiyama_ros.nodes.base.cdr_messages import NS
+from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.base.qos import DEPTH, LATCHED, STREAM
 from sugiyama_ros.nodes.base.samples import Sample
-
-#: Name of the topic on which all drivers are in one message, in the namespace of the road.
-DRIVERS_TOPIC = "drivers"
 
 #: Time [s] by which a sample may be late and still be sorted in, unless a parameter of the node says otherwise.
 WINDOW_S = 0.2
@@ -29,47 +23,19 @@ _LONGEST_S, LONGEST_PERIODS = 10.0, 100
 _MEASURED = 100
 
 
-class Listener(Protocol):
-    """Who follows the vehicles."""
-
-    def on_road(self, road: RoadMessage) -> None:
-        """Take in the road."""
-
-    def take_in(self, sample: Sample) -> None:
-        """Take in a sample; the road is known."""
-
-    def refuse(self, topic: str, reason: Exception) -> None:
-        """Hear of a message that was dropped."""
-
-
 class RoadFeed:
-    """Hands the road and every sample to all nodes of a process that follow vehicles, from one subscription to each.
+    """Hands the road and every sample to a node that follows vehicles. Samples wait for the road."""
 
-    Samples wait for the road. What the nodes know of their drivers after a sample is sent in one message, if they say
-    it here. The nodes stay as they are otherwise: each reports its own progress, so the source waits for each of them.
-
-    host: the node that subscribes and sends; named: the name of a topic for the node, if not that of the road.
-    """
-
-    def __init__(self, host: PacedNode, named: Callable[[str], str] | None = None) -> None:
-        self._host, self._named = host, named or host.shared
-        self._listeners: list[Listener] = []
+    def __init__(
+        self, node: PacedNode, on_road: Callable[[RoadMessage], None], take_in: Callable[[Sample], None]
+    ) -> None:
+        self._hand_road, self._take_in = on_road, take_in
         self._waiting: deque[Sample] = deque(maxlen=DEPTH)
         self._is_held, self._has_road = False, False
-        self._known: defaultdict[int, list[KnownDriver]] = defaultdict(list)
-        self._writer: ArrayWriter | None = None
-        kinds = (
-            (RoadMessage, "road", self._on_road, LATCHED),
-            (MeasuredPositions, "measured", self._on_measured, STREAM),
-        )
         self._inputs = [
-            AnyPublisher(host, kind, self._named(topic), receiver(kind, take, partial(self._refuse, topic)), qos)
-            for kind, topic, take, qos in kinds
+            node.hear(RoadMessage, "road", self._on_road, LATCHED),
+            node.hear(MeasuredPositions, "measured", self._on_measured, STREAM),
         ]
-
-    def hand_to(self, listener: Listener) -> None:
-        """Hand everything from now on to a listener, too."""
-        self._listeners.append(listener)
 
     def hold(self) -> None:
         """Let samples wait, as if there were no road."""
@@ -80,27 +46,14 @@ class RoadFeed:
         self._is_held = False
         self._go_on()
 
-    def offer_drivers(self) -> None:
-        """Publish the topic of all drivers, so that a recorder hears it from the first message on."""
-        self._host.stream(DriverArray, self._named(DRIVERS_TOPIC))
-
-    def collect(self, stamp_ns: int, driver: KnownDriver) -> None:
-        """Note what is known of a driver after the sample at a stamp [ns]."""
-        self._known[stamp_ns].append(driver)
-
     def close(self) -> None:
         """Hear nothing more."""
         for one in self._inputs:
             one.close()
 
-    def _refuse(self, topic: str, reason: RefusedError) -> None:
-        for listener in self._listeners:
-            listener.refuse(self._named(topic), reason)
-
     def _on_road(self, road: RoadMessage) -> None:
         self._has_road = True
-        for listener in self._listeners:
-            listener.on_road(road)
+        self._hand_road(road)
         self._go_on()
 
     def _on_measured(self, sample: Sample) -> None:
@@ -109,19 +62,7 @@ class RoadFeed:
 
     def _go_on(self) -> None:
         while self._waiting and self._has_road and not self._is_held:
-            sample = self._waiting.popleft()
-            for listener in self._listeners:
-                listener.take_in(sample)
-            self._send_drivers()
-
-    def _send_drivers(self) -> None:
-        """Send what is known; a layout of the message is kept while drivers and parameters stay the same."""
-        for stamp_ns, drivers in self._known.items():
-            if self._writer is None or not self._writer.fits(drivers):
-                self._writer = ArrayWriter(drivers)
-            publisher = self._host.stream(DriverArray, self._named(DRIVERS_TOPIC))
-            self._host.send(publisher, self._writer.message(stamp_ns, drivers))
-        self._known.clear()
+            self._take_in(self._waiting.popleft())
 
 
 class Arrival(Enum):

@@ -1,6 +1,5 @@
 """What all nodes of this package share: they count messages and report their progress and their health."""
 
-import re
 import time
 from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -32,9 +31,9 @@ from sugiyama_ros.errors import InputError, SugiyamaError
 from sugiyama_ros.nodes.base.incoming import receiver, unusable
 from sugiyama_ros.nodes.base.qos import PROGRESS_OUT, STREAM, WINDOW
 
-#: Name of the node that records, in any namespace, and topics of ROS itself that say nothing about the road.
+#: Name of the node that records, in any namespace, and how topics of ROS itself end that say nothing about the road.
 RECORDER = "recorder"
-UNRECORDED = ("/parameter_events",)
+UNRECORDED = ("/parameter_events", "/transition_event")
 _BEAT_S = 0.1
 _LOOK_S = 0.5
 # Time [s] in which services that are there answer, all together.
@@ -102,8 +101,7 @@ class AnyPublisher:
 class PacedNode(Node):
     """A node that counts what it publishes, tells the source how far it has come, and reports its health.
 
-    Subclasses define ``health``. A node that cannot go on sets ``failure``, and one whose work is done ``is_done``. The
-    topics of the road lie in the namespace that contains the namespaces of the vehicles.
+    Subclasses define ``health``. A node that cannot go on sets ``failure``, and one whose work is done ``is_done``.
     """
 
     def __init__(self, name: str, **options: Any) -> None:
@@ -126,7 +124,7 @@ class PacedNode(Node):
         self._told_refused = 0
         self._jumps: list[JumpHandle] = []
         self._streams: dict[str, Publisher] = {}
-        self._to_progress = self.create_publisher(Progress, self.shared("_progress"), PROGRESS_OUT)
+        self._to_progress = self.create_publisher(Progress, "_progress", PROGRESS_OUT)
         # made once: a message takes longer to make than to fill in
         self._progress = Progress(node=self.get_fully_qualified_name())
         self._to_diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", STREAM)
@@ -181,13 +179,6 @@ class PacedNode(Node):
             raise ParameterNotDeclaredException([parameter.name])
         known = self.has_parameter(parameter.name)
         return _real(parameter, self.get_parameter(parameter.name).value) if known else parameter
-
-    def shared(self, topic: str) -> str:
-        """Full name of a topic that all nodes of a road share, or what its relative name was remapped to."""
-        resolved = self.resolve_topic_name(topic)
-        if resolved != self.resolve_topic_name(topic, only_expand=True):
-            return resolved
-        return re.sub(r"/vehicle_\d+$", "", self.get_namespace()).rstrip("/") + "/" + topic
 
     def stream(self, kind: type, topic: str, qos: QoSProfile = STREAM) -> Publisher:
         """Publisher of a topic, made at the first call, and shared by everything in the node that publishes there."""
@@ -264,7 +255,7 @@ class PacedNode(Node):
 
     def _has_recorder(self, publisher: Publisher) -> bool:
         topic = publisher.topic_name
-        if topic in UNRECORDED or topic_or_service_is_hidden(topic):
+        if topic.endswith(UNRECORDED) or topic_or_service_is_hidden(topic):
             return True
         known = self.get_subscriptions_info_by_topic(topic)
         # the graph may show a subscriber a moment before the middleware sends to it
@@ -339,6 +330,13 @@ class PacedNode(Node):
         self._told, self._told_s = (self.steps, self.published, self.is_recorded), time.monotonic()
         self._progress.steps, self._progress.published, self._progress.recorded = self._told
         self._to_progress.publish(self._progress)
+
+
+def followers(node: Node) -> list[str]:
+    """Full names of the nodes in a node's namespace that follow drivers: their models take effects, and lose them."""
+    space, ends = node.get_namespace().rstrip("/") + "/", "/remove_effect"
+    services = (name for name, _ in node.get_service_names_and_types())
+    return sorted(name.removesuffix(ends) for name in services if name.startswith(space) and name.endswith(ends))
 
 
 def clients_of(node: Node, kind: type, services: Iterable[str]) -> tuple[list[Client], list[str]]:

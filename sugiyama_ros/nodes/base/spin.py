@@ -25,8 +25,6 @@ try:
 except ImportError:  # older than Jazzy's seventh patch
     EventsExecutor = SingleThreadedExecutor
 
-#: Environment variable with the id of the process that started a node; without that process, the node ends.
-RUNNER = "SUGIYAMA_RUNNER"
 # Passes over what rclpy raises on an event of a subscription that a node has given up since.
 _GIVEN_UP = suppress(InvalidHandle)
 _SLICE_S = 0.02
@@ -109,18 +107,18 @@ class Spinner:
 
 
 def run_node(make: Callable[[], PacedNode]) -> None:
-    """Run one node until a signal comes, or the node fails or is done; the main function of every node.
+    """Run one node until a signal comes, or the node fails or is done, or who started it has ended.
 
     The exit code is 0 if the work is done, 2 for an error that the user can correct, and 1 for any other failure.
     """
-    runner = int(os.environ.get(RUNNER, os.getppid()))
+    starter = os.getppid()
     try:
         with ros() as asked_to_stop:
             with _interruptible() as came:
                 node = make()
             node.get_logger().info(f"in ROS domain {environment.domain()}: {node.doing}")
             spinner = Spinner([node])
-            while not (came or asked_to_stop() or node.failure or node.is_done) and os.getppid() == runner:
+            while not (came or asked_to_stop() or node.failure or node.is_done) and os.getppid() == starter:
                 spinner.slice()
             spinner.until_quiet(lambda: node.received)
             node.finish()
@@ -138,25 +136,11 @@ def run_node(make: Callable[[], PacedNode]) -> None:
 
 
 @contextmanager
-def held_back() -> Iterator[None]:
-    """Hold SIGINT and SIGTERM back in processes that the block starts, until their nodes can take them.
-
-    A signal that comes while Python itself starts would end it with a traceback.
-    """
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextmanager
 def _interruptible() -> Iterator[list[int]]:
     """Let SIGINT and SIGTERM end the block at once, by KeyboardInterrupt; yields the signals that have come.
 
-    A node takes seconds of processor time to start, which is a minute on a busy machine. Who started the node may have
-    held the signals back until now (`held_back`). A library may swallow a KeyboardInterrupt, so look at the signals
-    afterwards.
+    A node takes seconds of processor time to start, which is a minute on a busy machine. A library may swallow a
+    KeyboardInterrupt, so look at the signals afterwards.
     """
     came: list[int] = []
 
@@ -164,10 +148,8 @@ def _interruptible() -> Iterator[list[int]]:
         came.append(number)
         raise KeyboardInterrupt
 
-    stop = (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.signal(number, interrupt) for number in stop}
+    before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, stop)
         yield came
     finally:
         for number, handler in before.items():

@@ -2,32 +2,33 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from math import cos, isnan, pi, remainder, sin
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import Point, Pose, PoseWithCovariance, Quaternion
+from geometry_msgs.msg import Point, Pose, PoseStamped, PoseWithCovariance, Quaternion, TwistWithCovariance
+from nav_msgs.msg import Odometry, Path
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN
 from sugiyama_ros.filters.online import Estimate
 from sugiyama_ros.formats.centre_line import read_lanes
 from sugiyama_ros.formats.measured import FRAME
-from sugiyama_ros.nodes.base.cdr_messages import NS
+from sugiyama_ros.formats.truth import namespace
+from sugiyama_ros.nodes.base.cdr_messages import NS, time_message
 from sugiyama_ros.nodes.base.node import PacedNode
-from sugiyama_ros.nodes.driver import VEHICLES, Follower, Prediction
+from sugiyama_ros.nodes.follower import AHEAD_S, VEHICLES, Follower, Prediction
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.centre_line import CentreLine
 
-_MODULES = ("odometry", "predicted_path", "predicted_odometry")
-#: Variance of what the filter does not know, such as height and roll [SI]: not 0, which would mean that it is exact.
-UNKNOWN_VAR = 1e6
+# Variance of what the filter does not know, such as height and roll [SI]: not 0, which would mean that it is exact.
+_UNKNOWN_VAR = 1e6
 # Std [rad] of the direction of a vehicle around that of the road: who changes lane at 10 m/s moves aside at 1 m/s.
 _ASIDE_STD = 0.1
 
 
-class Places:
+class _Places:
     """Where positions along the road lie in the plane, ``frame``.
 
     Without a centre line, a ring is a circle around the origin, as in ``markers``, and an open road is the x axis.
@@ -64,45 +65,76 @@ class Places:
         by_position = np.zeros(6)
         by_position[[0, 1, 5]] = cos(heading), sin(heading), self.curvature(position_m)
         covariance = np.asarray(var * np.outer(by_position, by_position), np.float64)
-        covariance[[2, 3, 4], [2, 3, 4]] = UNKNOWN_VAR
+        covariance[[2, 3, 4], [2, 3, 4]] = _UNKNOWN_VAR
         covariance[5, 5] += _ASIDE_STD**2
         message.covariance = covariance.ravel()
         return message
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class _Known:
     """What is known of a driver after a sample; path: states of now and of the next seconds."""
 
     stamp_ns: int
     vehicle: int
     path: Prediction
-    places: Places
+    places: _Places
 
 
 @dataclass(frozen=True, eq=False)
-class DriverOutput:
+class _Output:
     """A standard message of each driver.
 
-    Parameters
-    ----------
-    name : str
-        Name of the topic in the vehicle's namespace, and in the parameter ``publish``.
-    kind : type
-        Class of the message.
-    messages : callable
-        Known -> messages.
-    every_s : float
-        Time [s] between two of them, at least; 0 for one with each sample.
-    ahead_s : float
-        How far ahead [s] it needs the path.
+    name: of the topic in the vehicle's namespace, and in the parameter ``publish``; every_s: time [s] between two of
+    them, at least; 0 for one with each sample; ahead_s: how far ahead [s] it needs the path.
     """
 
     name: str
     kind: type
-    messages: Callable[[Known], Sequence[Any]]
+    messages: Callable[[_Known], Sequence[Any]]
     every_s: float = 0.0
     ahead_s: float = 0.0
+
+
+def _odometry(known: _Known, k: int = 0) -> Odometry:
+    """State number k of the path, with the stamp of its time."""
+    path = known.path
+    message = Odometry(
+        child_frame_id=namespace(known.vehicle),
+        pose=known.places.pose(float(path.position_m[k]), float(path.covariance[k, 0, 0])),
+        twist=TwistWithCovariance(),
+    )
+    message.header.stamp = time_message(known.stamp_ns + round(float(path.time_s[k]) * NS))
+    message.header.frame_id = known.places.frame
+    message.twist.twist.linear.x = float(path.speed[k])
+    # of the speeds, the filter knows the one along the road
+    covariance: Array = np.diag([float(path.covariance[k, 1, 1]), *[_UNKNOWN_VAR] * 5])
+    message.twist.covariance = covariance.ravel()
+    return message
+
+
+def _predicted_odometry(known: _Known) -> list[Odometry]:
+    """One message for each second ahead."""
+    times = known.path.time_s
+    return [_odometry(known, int(np.abs(times - second).argmin())) for second in range(1, round(times[-1]) + 1)]
+
+
+def _predicted_path(known: _Known) -> list[Path]:
+    """The path, whose poses have the stamps of their times."""
+    message = Path()
+    message.header.stamp, message.header.frame_id = time_message(known.stamp_ns), known.places.frame
+    for time_s, position_m in zip(known.path.time_s.tolist(), known.path.position_m.tolist(), strict=True):
+        pose = PoseStamped(pose=known.places.pose(position_m, 0.0).pose)
+        pose.header.stamp, pose.header.frame_id = time_message(known.stamp_ns + round(time_s * NS)), known.places.frame
+        message.poses.append(pose)
+    return [message]
+
+
+_OUTPUTS = (
+    _Output("odometry", Odometry, lambda known: [_odometry(known)]),
+    _Output("predicted_path", Path, _predicted_path, every_s=1.0, ahead_s=AHEAD_S),
+    _Output("predicted_odometry", Odometry, _predicted_odometry, every_s=1.0, ahead_s=AHEAD_S),
+)
 
 
 class StandardTopics:
@@ -110,16 +142,12 @@ class StandardTopics:
 
     def __init__(self, node: PacedNode) -> None:
         self._node = node
-        names = node.texts("publish", f"standard messages of each driver to publish: {', '.join(_MODULES)}")
+        known = {one.name: one for one in _OUTPUTS}
+        names = node.texts("publish", f"standard messages of each driver to publish: {', '.join(known)}")
         for name in names:
-            if name not in _MODULES:
-                raise InputError(f"publish: {name!r} is not known; give {', '.join(_MODULES)}")
-        self.outputs: list[DriverOutput] = []
-        try:
-            # their messages need not be installed where nobody asks for them
-            self.outputs = [import_module(f"sugiyama_ros.nodes.outputs.{name}").OUTPUT for name in names]
-        except ImportError as error:
-            raise InputError(f"publish: {error}; install this package of messages") from None
+            if name not in known:
+                raise InputError(f"publish: {name!r} is not known; give {', '.join(known)}")
+        self._outputs = [known[name] for name in names]
         file = node.path("centre_line", "centre lines of the lanes (CSV), for published poses")
         self._line: CentreLine | None = None if file is None else read_lanes(file).lines[0]
         self._frame = str(node.option("frame", "road", "frame of published poses"))
@@ -128,28 +156,28 @@ class StandardTopics:
     @property
     def vehicles(self) -> int:
         """Vehicles that a driver's filter needs in its chain: more where a path is predicted."""
-        return VEHICLES if any(one.ahead_s > 0.0 for one in self.outputs) else CHAIN
+        return VEHICLES if any(one.ahead_s > 0.0 for one in self._outputs) else CHAIN
 
-    def publish(self, road: Road, follower: Follower, estimate: Estimate, stamp_ns: int, space: str) -> None:
-        """Publish what is due of a driver after a sample; ``space`` such as ``vehicle_07/``."""
+    def publish(self, road: Road, follower: Follower, estimate: Estimate, stamp_ns: int) -> None:
+        """Publish what is due of a driver after a sample."""
         vehicle = follower.vehicle
-        due = [one for one in self.outputs if self._is_due(vehicle, one, stamp_ns)]
+        due = [one for one in self._outputs if self._is_due(vehicle, one, stamp_ns)]
         if not due or isnan(estimate.speed):
             return
         path = follower.predict(estimate, stamp_ns, max(one.ahead_s for one in due))
-        known = Known(stamp_ns, vehicle, path, Places(road, self._line, self._frame))
+        known = _Known(stamp_ns, vehicle, path, _Places(road, self._line, self._frame))
         for one in due:
             self._told_ns[vehicle, one.name] = stamp_ns
-            publisher = self._node.stream(one.kind, space + one.name)
+            publisher = self._node.stream(one.kind, f"{namespace(vehicle)}/{one.name}")
             for message in one.messages(known):
                 self._node.send(publisher, message)
 
-    def _is_due(self, vehicle: int, output: DriverOutput, stamp_ns: int) -> bool:
+    def _is_due(self, vehicle: int, output: _Output, stamp_ns: int) -> bool:
         told_ns = self._told_ns.get((vehicle, output.name))
         return told_ns is None or not 0 <= stamp_ns - told_ns < output.every_s * NS
 
-    def retire(self, vehicle: int, space: str) -> None:
+    def retire(self, vehicle: int) -> None:
         """Take down the topics of a driver who has gone."""
-        for one in self.outputs:
+        for one in self._outputs:
             self._told_ns.pop((vehicle, one.name), None)
-            self._node.end_stream(space + one.name)
+            self._node.end_stream(f"{namespace(vehicle)}/{one.name}")

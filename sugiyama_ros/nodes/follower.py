@@ -1,4 +1,4 @@
-"""One driver who is followed: what the filter gets of a sample, where the driver will be, and what is published."""
+"""One driver who is followed: what the filter gets of a sample, and where the driver will be."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -7,33 +7,19 @@ from math import exp, isfinite, isnan, nan
 from typing import Any, NamedTuple
 
 import numpy as np
-from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile
-from sugiyama_msgs.msg import DriverParameters, DriverType, Innovation, StyleChange, VehicleState
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.driver.parameters import NAMES, V_STAR
-from sugiyama_ros.effects.registry import ROW, active
 from sugiyama_ros.filters.first_look import steps_between
 from sugiyama_ros.filters.online import NOBODY, Estimate, Learnt, OnlineFilter
-from sugiyama_ros.filters.shown import ShownParameters, shown_of
-from sugiyama_ros.fit.classes import DriverTypes
-from sugiyama_ros.formats.measured import FRAME
-from sugiyama_ros.laws.registry import name_of
-from sugiyama_ros.nodes.base import cdr_messages
-from sugiyama_ros.nodes.base.cdr_messages import NS, KnownDriver, ParameterNames, time_message
-from sugiyama_ros.nodes.base.feed import RoadFeed
-from sugiyama_ros.nodes.base.node import PacedNode
-from sugiyama_ros.nodes.base.qos import DEPTH, KEPT_STREAM, STREAM
+from sugiyama_ros.nodes.base.cdr_messages import NS
+from sugiyama_ros.nodes.base.qos import DEPTH
 from sugiyama_ros.nodes.base.samples import LONGEST_M, UNKNOWN_LEADER, Sample
 from sugiyama_ros.nodes.keeper import Kept
-from sugiyama_ros.trajectories.desired_speed import largest_v_star
 
 #: How far ahead [s] a path is predicted, unless asked otherwise.
 AHEAD_S = 5.0
 #: Vehicles in the chain of a filter that predicts a path: what they do reaches the driver within these seconds.
 VEHICLES = 7
-_PARAMETERS_EVERY_NS = NS
 #: What is published where nothing is known, so that every topic has a message for every step.
 UNKNOWN = Estimate(nan, nan, nan, np.full((3, 3), nan), nan, nan, nan, nan, nan, nan, nan, scored=False)
 
@@ -297,101 +283,3 @@ def _path(
         speed=np.array([one.speed for one in found]),
         covariance=np.array([one.covariance[:2, :2] for one in found]),
     )
-
-
-class DriverTopics:
-    """Publishes ``state``, ``innovation``, ``style_change``, ``parameters`` and, with types, ``driver_type``.
-
-    feed: where the driver is in one message with other drivers: it gets state, innovation and parameters with every
-    sample, and they have no topics; space: namespace of the topics within the node's, such as ``vehicle_07/``; empty
-    for the node's own, whose topics drivers share.
-    """
-
-    def __init__(
-        self, node: PacedNode, vehicle: int, types: DriverTypes | None, feed: RoadFeed | None = None, space: str = ""
-    ) -> None:
-        self._node, self._vehicle, self._types, self._feed, self._space = node, vehicle, types, feed, space
-        #: Names of the parameters that the samples so far do not determine.
-        self.not_identified: list[str] = []
-        self._shown: ShownParameters | None = None
-        self._stamp_ns: int | None = None
-        # the largest speed [m/s] so far, and the place of v* among the adapted parameters
-        self._fastest = 0.0
-        self._v_star: int | None = None
-        self._topics: list[str] = []
-        if feed is None:
-            self._to_state = self._stream(VehicleState, "state")
-            self._to_innovation = self._stream(Innovation, "innovation")
-            self._to_parameters = self._stream(DriverParameters, "parameters", KEPT_STREAM)
-        self._to_changes, *self._to_type = [self._stream(kind, topic) for kind, topic in shared_topics(types)]
-
-    def _stream(self, kind: type, topic: str, qos: QoSProfile = STREAM) -> Publisher:
-        self._topics.append(self._space + topic)
-        return self._node.stream(kind, self._space + topic, qos)
-
-    def close(self) -> None:
-        """Take down the topics that are the driver's own."""
-        if self._space:
-            for topic in self._topics:
-                self._node.end_stream(topic)
-
-    def choose_parameters(self, effects: Array, filter_: OnlineFilter) -> None:
-        """From now on, publish the driver's parameters, and those of the law and the effects in a row (WIDTH,)."""
-        law = ROW.law_places.get(name_of(float(filter_.parameters[ROW.law])), slice(0))
-        blocks = [law, *(ROW.places[name] for name in active(effects))]
-        shown = [*range(len(NAMES)), *(k for block in blocks for k in range(ROW.width)[block])]
-        self._shown = shown_of(filter_, shown)
-        names = [ROW.entries[k] for k in shown]
-        self._v_star = filter_.adapted.index("v_star") if "v_star" in filter_.adapted else None
-        self._names = ParameterNames(tuple(names), filter_.adapted)
-        self._message = cdr_messages.ParametersWriter(self._vehicle, names, filter_.adapted)
-
-    def restart(self) -> None:
-        """Publish the parameters with the next sample, whatever its stamp."""
-        self._stamp_ns = None
-
-    def publish_estimate(self, stamp_ns: int, estimate: Estimate, change: tuple[str, float] | None) -> None:
-        """Publish the state and the innovation, and a change of style (name and factor) if there is one."""
-        send, vehicle = self._node.send, self._vehicle
-        self._fastest = max(self._fastest, estimate.speed)
-        if self._feed is None:
-            send(self._to_state, cdr_messages.state(stamp_ns, vehicle, estimate))
-            send(self._to_innovation, cdr_messages.innovation(stamp_ns, vehicle, estimate))
-        elif (shown := self._shown) is not None:
-            self._read(shown)
-            value, covariance, identified = shown.value.copy(), shown.adapted_covariance, shown.adapted_identified
-            known = KnownDriver(vehicle, estimate, self._names, value, covariance, identified)
-            self._feed.collect(stamp_ns, known)
-        if change is not None:
-            message = StyleChange(vehicle=vehicle, name=change[0], factor=change[1])
-            message.header.stamp, message.header.frame_id = time_message(stamp_ns), FRAME
-            send(self._to_changes, message)
-
-    def _read(self, shown: ShownParameters) -> None:
-        """Read what the filter knows. A desired speed beyond what these speeds can tell is not identified."""
-        shown.read()
-        if self._v_star is not None and shown.value[V_STAR] > largest_v_star(self._fastest):
-            shown.adapted_identified[self._v_star] = False
-
-    def publish_parameters(self, stamp_ns: int, filter_: OnlineFilter, is_last: bool) -> None:
-        """Publish the parameters once a second of the recording's time, and with the last sample."""
-        is_due = self._stamp_ns is None or stamp_ns - self._stamp_ns >= _PARAMETERS_EVERY_NS
-        shown = self._shown
-        if shown is None or not (is_due or is_last):
-            return
-        self._stamp_ns = stamp_ns
-        if self._feed is None:
-            self._read(shown)
-            message = self._message.message(stamp_ns, shown.value, shown.covariance, shown.identified)
-            self._node.send(self._to_parameters, message)
-        self.not_identified = shown.not_identified
-        if self._types is not None:
-            probability = self._types.probabilities(filter_.learnt, filter_.prior).tolist()
-            told = DriverType(vehicle=self._vehicle, probability=probability)
-            told.header.stamp, told.header.frame_id = time_message(stamp_ns), FRAME
-            self._node.send(self._to_type[0], told)
-
-
-def shared_topics(types: DriverTypes | None) -> list[tuple[type, str]]:
-    """Classes and names of the topics that each driver has also where they are in one message with other drivers."""
-    return [(StyleChange, "style_change"), *([(DriverType, "driver_type")] if types is not None else [])]

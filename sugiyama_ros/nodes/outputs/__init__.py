@@ -1,1 +1,0 @@
-"""Standard messages of each driver, for others to use: one file for each output."""
