@@ -173,8 +173,8 @@ def plan_of(source: Path | FromSimulator, output: Path, settings: RunSettings) -
     Raises InputError, OutputError.
     """
     file = source if isinstance(source, Path) else None
-    given = file if isinstance(source, Path) else source.model, settings.model
-    for path in (*(path for path in given if path is not None), output, settings.save_state, settings.resume):
+    model = source.model if isinstance(source, FromSimulator) else None
+    for path in (file, model, settings.model, output, settings.save_state, settings.resume):
         try:
             str(path).encode()
         except UnicodeEncodeError:

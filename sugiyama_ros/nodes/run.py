@@ -138,6 +138,8 @@ class RunNodes:
 
     def __init__(self, plan: Plan, window: int = WINDOW) -> None:
         self.all: list[PacedNode] = []
+        #: Samples that all nodes have taken, once the source is stopped.
+        self.steps = 0
         given = {"parameter_overrides": _overrides(plan.sending(["drivers"]))}
         try:
             self.source: Source = (
@@ -173,6 +175,7 @@ class RunNodes:
         """Stop the source first and the recorder last, so that everything sent is in the file."""
         self.source.finish()
         spinner.until(lambda: all(node.steps == self.source.next_step for node in self._followers), STOP_S)
+        self.steps = self.source.steps
         for node in [*self._followers, self._recorder]:
             node.finish()
         spinner.until(lambda: self._recorder.received == self.published, STOP_S)
@@ -191,7 +194,7 @@ def _overrides(parameters: Mapping[str, Any]) -> list[Parameter]:
 def _result(plan: Plan, nodes: RunNodes, wall_s: float, interrupted: bool) -> RunResult:
     """Compare what the nodes say that they published with what is in the finished file."""
     counts, drivers = read_run(plan.output)
-    steps, recorded = nodes.source.steps, sum(count for topic, count in counts.items() if topic != LOG)
+    steps, recorded = nodes.steps, sum(count for topic, count in counts.items() if topic != LOG)
     # For a sample that a filter missed, nothing was published: these topics then have too few messages.
     short = sum(steps - counts.get(topic, 0) for topic in plan.paced_topics)
     return RunResult(
