@@ -72,7 +72,7 @@ class _Places:
 
 
 @dataclass(frozen=True, eq=False)
-class _Known:
+class _DriverNow:
     """What is known of a driver after a sample; path: states of now and of the next seconds."""
 
     stamp_ns: int
@@ -91,12 +91,12 @@ class _Output:
 
     name: str
     kind: type
-    messages: Callable[[_Known], Sequence[Any]]
+    messages: Callable[[_DriverNow], Sequence[Any]]
     every_s: float = 0.0
     ahead_s: float = 0.0
 
 
-def _odometry(known: _Known, k: int = 0) -> Odometry:
+def _odometry(known: _DriverNow, k: int = 0) -> Odometry:
     """State number k of the path, with the stamp of its time."""
     path = known.path
     message = Odometry(
@@ -113,13 +113,13 @@ def _odometry(known: _Known, k: int = 0) -> Odometry:
     return message
 
 
-def _predicted_odometry(known: _Known) -> list[Odometry]:
+def _predicted_odometry(known: _DriverNow) -> list[Odometry]:
     """One message for each second ahead."""
     times = known.path.time_s
     return [_odometry(known, int(np.abs(times - second).argmin())) for second in range(1, round(times[-1]) + 1)]
 
 
-def _predicted_path(known: _Known) -> list[Path]:
+def _predicted_path(known: _DriverNow) -> list[Path]:
     """The path, whose poses have the stamps of their times."""
     message = Path()
     message.header.stamp, message.header.frame_id = time_message(known.stamp_ns), known.places.frame
@@ -165,7 +165,7 @@ class StandardTopics:
         if not due or isnan(estimate.speed):
             return
         path = follower.predict(estimate, stamp_ns, max(one.ahead_s for one in due))
-        known = _Known(stamp_ns, vehicle, path, _Places(road, self._line, self._frame))
+        known = _DriverNow(stamp_ns, vehicle, path, _Places(road, self._line, self._frame))
         for one in due:
             self._told_ns[vehicle, one.name] = stamp_ns
             publisher = self._node.stream(one.kind, f"{namespace(vehicle)}/{one.name}")
