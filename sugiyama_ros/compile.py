@@ -26,7 +26,7 @@ from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.diagnosis.compare import compare
 from sugiyama_ros.diagnosis.diagnose import diagnose
 from sugiyama_ros.driver.parameters import NAMES, REFERENCE_PERIOD_S, defaults
-from sugiyama_ros.effects import hooks
+from sugiyama_ros.effects.control import compile_functions
 from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.filters.online import OnlineFilter, warm_up
 from sugiyama_ros.filters.shown import shown_of
@@ -51,7 +51,7 @@ def _work() -> dict[str, Callable[[], object]]:
     recording = cache(lambda: simulate(_VEHICLES, **simulated).measured)
     return {
         _ONLINE: _follow,
-        "the effects and the laws": hooks.compile_all,
+        "the effects and the laws": compile_functions,
         "the paper's calibration": lambda: each_driver(recording(), Settings("paper")),
         "the causal calibration": lambda: each_driver(recording(), Settings("causal")),
         "the comparison with other laws": lambda: compare(recording(), [_EFFECT]),

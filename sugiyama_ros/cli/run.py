@@ -143,7 +143,7 @@ def replay(options: RunOptions) -> "RunResult":
 
 def _source(options: RunOptions) -> "Path | FromSimulator":
     """The file to replay, or the drivers to simulate. Raises InputError where the options do not say which."""
-    from sugiyama_ros.effects.texts import read_parameter
+    from sugiyama_ros.effects.registry import read_parameter
     from sugiyama_ros.nodes.plan import FromSimulator
     from sugiyama_ros.simulation.experiment import Experiment
 

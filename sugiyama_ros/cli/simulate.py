@@ -184,8 +184,7 @@ def _rows(options: SimulateOptions, vehicles: int) -> "Array":
     import numpy as np
 
     from sugiyama_ros.driver.parameters import defaults
-    from sugiyama_ros.effects.registry import ROW
-    from sugiyama_ros.effects.texts import read_effect, read_parameter
+    from sugiyama_ros.effects.registry import ROW, read_effect, read_parameter
     from sugiyama_ros.fit.model_file import drive_by, drivers_of
     from sugiyama_ros.simulation.experiment import changed
 

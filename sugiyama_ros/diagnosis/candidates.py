@@ -13,7 +13,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import CONSTANTS, index
 from sugiyama_ros.effects.discovered_force import COVARIATES, KNOTS
-from sugiyama_ros.effects.effect import MEASUREMENT, Effect, RecordingExtent
+from sugiyama_ros.effects.effect import MEASUREMENT, Effect, Extent
 from sugiyama_ros.effects.registry import EFFECTS, MECHANISM, ROW, index_of
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.first_look import SIGMAS
@@ -35,7 +35,7 @@ _RUNS_S, _PUSH = (1.0, 2.0, 4.0), 0.5
 #: What is added to the name of a candidate that only some drivers have.
 OF_SOME = "_of_some"
 # A recording on which every effect that is searched for at all has a start.
-_A_RING = RecordingExtent(0.0, 100.0, 100.0, 0.0, 100.0)
+_A_RING = Extent(0.0, 100.0, 100.0, 0.0, 100.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,11 +213,11 @@ def why_not(e: Effect, data: Recorded) -> str:
     return next((reason for reason, holds in reasons.items() if holds), "")
 
 
-def recording_of(data: Recorded) -> RecordingExtent:
+def recording_of(data: Recorded) -> Extent:
     """Return what a search may know about a recording."""
     around = data.vicinity
     first, last = float(np.nanmin(around.position_m)), float(np.nanmax(around.position_m))
-    return RecordingExtent(*around.first_last_s, around.road.circumference_m, first, last)
+    return Extent(*around.first_last_s, around.road.circumference_m, first, last)
 
 
 def push_of_one(data: Recorded, samples: PointwiseDensity) -> Candidate | None:

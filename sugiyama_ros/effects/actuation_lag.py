@@ -9,21 +9,21 @@ from sugiyama_ros.jit import kernel
 
 
 @kernel
-def share(period: float, p: Array) -> float:
+def _share(period: float, p: Array) -> float:
     """Compute the share of a wanted change that a first-order lag carries out in a period [s]."""
     return 1.0 - math.exp(-period / p[0])
 
 
 @kernel
-def change(wanted: float, period: float, p: Array) -> float:
+def _change(wanted: float, period: float, p: Array) -> float:
     """Compute the change [m/s^2] that the car carries out in a period [s]."""
-    return wanted * share(period, p)
+    return wanted * _share(period, p)
 
 
 @kernel
-def expected_change(wanted: float, variance: float, period: float, p: Array) -> tuple[float, float, float]:
+def _expected_change(wanted: float, variance: float, period: float, p: Array) -> tuple[float, float, float]:
     """Compute the moments of the change that the car carries out; the lag is linear, so no variance is left."""
-    part = share(period, p)
+    part = _share(period, p)
     return part * wanted, part, 0.0
 
 
@@ -36,7 +36,7 @@ EFFECT = Effect(
     source="Treiber and Kesting, Traffic Flow Dynamics (2013), section 12.3",
     parameters=(Parameter("time_constant", "T_l", "s", 0.0, 0.0, 5.0, "time constant"),),
     starts=at({"time_constant": 0.1}, {"time_constant": 0.4}),
-    memory=Memory(change, expected_change),
+    memory=Memory(_change, _expected_change),
     bank={"time_constant": 0.2},
     benchmark=({"time_constant": 0.4}, {"time_constant": 0.22}),
     advice={"reaction_delay": "record accelerations, or positions at 10 Hz and more"},

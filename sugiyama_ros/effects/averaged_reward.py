@@ -8,7 +8,7 @@ from sugiyama_ros.jit import kernel
 
 
 @kernel(vectorised=True)
-def component(seen: Seen, action: float, period: float, horizon: int, p: Array, driver: Preferences) -> float:
+def _component(seen: Seen, action: float, period: float, horizon: int, p: Array, driver: Preferences) -> float:
     """Compute the mean reward of the speed over the look-ahead, less the reward after one period."""
     total = first = forward_reward(seen.speed + period * action, driver[0], driver[2])
     for tau in range(2, horizon + 1):
@@ -25,6 +25,5 @@ EFFECT = Effect(
     source="paper, section 3.2: the average of a component over the look-ahead",
     parameters=(Parameter("share", "w_a", "1", 0.0, 0.0, 1.0, "share of the mean over the look-ahead"),),
     starts=at({"share": 0.2}, {"share": 0.8}),
-    function=component,
-    knows_preferences=True,
+    function=_component,
 )

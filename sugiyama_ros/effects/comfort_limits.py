@@ -9,7 +9,7 @@ from sugiyama_ros.jit import kernel
 
 
 @kernel
-def actuate(acceleration: float, seen: Seen, p: Array) -> float:
+def _actuate(acceleration: float, seen: Seen, p: Array) -> float:
     """Compute A tanh(a / A) [m/s^2], a smooth saturation."""
     return float(p[0]) * math.tanh(acceleration / p[0])
 
@@ -25,7 +25,7 @@ EFFECT = Effect(
         Parameter("limit", "A", "m/s^2", 0.0, 0.1, 50.0, "limit of the acceleration, never reached; 0 for no limit"),
     ),
     starts=at({"limit": 1.5}, {"limit": 3.0}, {"limit": 6.0}),
-    function=actuate,
+    function=_actuate,
     is_limit=True,
     bank={"limit": 4.0},
     benchmark=({"limit": 1.05}, {"limit": 1.3}),

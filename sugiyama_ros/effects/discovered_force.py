@@ -28,7 +28,7 @@ MOVING, LONGEST_S = 1.0, 10.0
 
 
 @kernel
-def push(seen: Seen, p: Array) -> float:
+def _push(seen: Seen, p: Array) -> float:
     """Compute the force [m/s^2]: straight lines between the values ``p[3:]`` at knots from ``p[1]`` to ``p[2]``.
 
     The knots are evenly spaced, and the curve is flat outside them. Over the place on a ring the curve is periodic: the
@@ -86,6 +86,6 @@ EFFECT = Effect(
         Parameter("last", "", "1", 0.0, -1e12, 1e12, "covariate at the last knot"),
         *(Parameter(f"force_{k}", f"f_{k}", "m/s^2", 0.0, -10.0, 10.0, f"force at knot {k}") for k in range(KNOTS)),
     ),
-    function=push,
+    function=_push,
     ascending=(("first", "last"),),
 )

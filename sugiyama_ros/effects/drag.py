@@ -7,13 +7,13 @@ from sugiyama_ros.jit import kernel
 
 
 @kernel
-def push(seen: Seen, p: Array) -> float:
+def _push(seen: Seen, p: Array) -> float:
     """Compute -c0 - c2 v^2 [m/s^2]; c0 fades at walking pace, because resistance pushes no car backward."""
     return _resistance(seen.speed, 1.0, p)
 
 
 @kernel
-def push_to_standstill(seen: Seen, p: Array) -> float:
+def _push_to_standstill(seen: Seen, p: Array) -> float:
     """Compute -c0 - c2 v^2 [m/s^2]; c0 fades below 0.25 m/s only."""
     return _resistance(seen.speed, 4.0, p)
 
@@ -39,7 +39,7 @@ _TO_STANDSTILL = Effect(
     parameters=_PARAMETERS,
     starts=at({"c0": 0.1, "c2": 0.001}),
     least={"c0": 0.0, "c2": 0.0},
-    function=push_to_standstill,
+    function=_push_to_standstill,
     strengths=("c0", "c2"),
 )
 EFFECT = Effect(
@@ -52,7 +52,7 @@ EFFECT = Effect(
     parameters=_PARAMETERS,
     starts=at({"c0": 0.05, "c2": 0.001}),
     least={"c0": 0.0, "c2": 0.0},
-    function=push,
+    function=_push,
     strengths=("c0", "c2"),
     bank={"c0": 0.1, "c2": 0.003},
     benchmark=({"c0": 0.3, "c2": 0.004}, {"c0": 0.18, "c2": 0.002}),

@@ -4,6 +4,7 @@ A driver's row holds the parameters of every effect in the registry. The paramet
 0. If no effect acts, every number equals the number of the base model to the last bit.
 """
 
+import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -83,7 +84,7 @@ def with_view(seen: Seen, gap: float, speed: float, leader_speed: float) -> Seen
     )
 
 
-class RecordingExtent(NamedTuple):
+class Extent(NamedTuple):
     """What a search for an effect may know about a recording.
 
     Parameters
@@ -103,6 +104,8 @@ class RecordingExtent(NamedTuple):
     last_m: float
 
 
+# Number of arguments of a component of the utility that takes the driver's preferences.
+_WITH_PREFERENCES = 6
 #: Values of parameters, by name.
 Values = Mapping[str, float]
 
@@ -143,7 +146,7 @@ class Contamination:
     sample: Callable[..., Any]
 
 
-def _no_starts(_: RecordingExtent) -> tuple[Values, ...]:
+def _no_starts(_: Extent) -> tuple[Values, ...]:
     """Search for nothing."""
     return ()
 
@@ -174,7 +177,8 @@ class Effect:
 
         - perception, measurement: (seen, p) -> gap, speed, leader_speed as the driver perceives them;
         - preference: (v_star, kappa_v, seen, p) -> v_star, kappa_v;
-        - utility: (seen, action, period, horizon, p) -> term that is added to the utility of holding the action;
+        - utility: (seen, action, period, horizon, p) -> term that is added to the utility of holding the action; a
+          function with a sixth argument gets the driver's ``Preferences``;
         - actuation: (acceleration, seen, p) -> acceleration [m/s^2] in place of the intended acceleration;
         - environment: (seen, p) -> acceleration [m/s^2] that is added to the acceleration by the driver.
     memory : Memory, optional
@@ -192,13 +196,11 @@ class Effect:
         Names of the driver's parameters whose logarithms wander at random (Ornstein-Uhlenbeck). The first two
         parameters of the effect are then the std of the logarithm and the correlation time [s].
     starts : callable
-        RecordingExtent -> sets of values at which a search for the parameters begins. Without sets there is no search.
+        Extent -> sets of values at which a search for the parameters begins. Without sets there is no search.
     strengths : tuple of str
         Names of the parameters that switch the effect on if they are not 0; if left out, the first parameter.
     individual : bool
         Whether each driver has their own values.
-    is_noise : bool
-        Whether the effect changes noises alone. It hardly changes the mean of free runs, which cannot judge it.
     is_constant : bool
         Whether the effect frees a constant of the paper's driver: it says what these drivers are like, and explains
         nothing.
@@ -226,8 +228,6 @@ class Effect:
         then not named.
     advice : mapping of str to str
         What to record to tell the effect from another effect, by the name of the other effect.
-    knows_preferences : bool
-        Whether the function of a component of the utility takes the driver's ``Preferences`` after its other arguments.
     fixed : tuple of str
         Names of parameters that a search leaves as they are at its start.
     forms : tuple of Effect
@@ -249,10 +249,9 @@ class Effect:
     measurement_noise_factor: Callable[..., float] | None = None
     contamination: Contamination | None = None
     wanders: tuple[str, ...] = ()
-    starts: Callable[[RecordingExtent], tuple[Values, ...]] = _no_starts
+    starts: Callable[[Extent], tuple[Values, ...]] = _no_starts
     strengths: tuple[str, ...] = ()
     individual: bool = False
-    is_noise: bool = False
     is_constant: bool = False
     is_limit: bool = False
     reach: int = 1
@@ -264,7 +263,6 @@ class Effect:
     ascending: tuple[tuple[str, str], ...] = ()
     least: Values = field(default_factory=dict)
     advice: Mapping[str, str] = field(default_factory=dict)
-    knows_preferences: bool = False
     fixed: tuple[str, ...] = ()
     forms: tuple["Effect", ...] = ()
 
@@ -281,8 +279,19 @@ class Effect:
         """Names of the parameters that switch the effect on if they are not 0."""
         return self.strengths or (self.parameters[0].name,)
 
+    @property
+    def is_noise(self) -> bool:
+        """Whether the effect changes noises alone. It hardly changes the mean of free runs, which cannot judge it."""
+        of_noise = self.noise_factor or self.measurement_noise_factor or self.contamination
+        return of_noise is not None and self.function is None
 
-def at(*values: Values) -> Callable[[RecordingExtent], tuple[Values, ...]]:
+
+def takes_preferences(component: Callable[..., Any]) -> bool:
+    """Whether a component of the utility takes the driver's ``Preferences``, as its sixth argument."""
+    return len(inspect.signature(getattr(component, "py_func", component)).parameters) == _WITH_PREFERENCES
+
+
+def at(*values: Values) -> Callable[[Extent], tuple[Values, ...]]:
     """Make starts of a search that do not depend on the recording.
 
     Parameters
@@ -293,6 +302,6 @@ def at(*values: Values) -> Callable[[RecordingExtent], tuple[Values, ...]]:
     Returns
     -------
     callable
-        RecordingExtent -> starts, for ``Effect.starts``.
+        Extent -> starts, for ``Effect.starts``.
     """
     return lambda _: values

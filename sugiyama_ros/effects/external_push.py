@@ -9,7 +9,7 @@ from sugiyama_ros.jit import kernel
 
 
 @kernel
-def push(seen: Seen, p: Array) -> float:
+def _push(seen: Seen, p: Array) -> float:
     """Compute a Gaussian pulse [m/s^2] in time, with height ``p[0]``, centre ``p[1]`` [s] and std ``p[2]`` [s]."""
     if p[3] != 0.0:
         return 0.0
@@ -30,6 +30,6 @@ EFFECT = Effect(
         Parameter("duration", "d", "s", 0.0, 0.1, 60.0, "duration of the push, as a std in time"),
         Parameter("spared", "", "1", 0.0, 0.0, 1.0, "1 for a car that is not pushed"),
     ),
-    function=push,
+    function=_push,
     individual=True,
 )

@@ -7,13 +7,13 @@ from sugiyama_ros.jit import kernel
 
 
 @kernel
-def perceive(seen: Seen, p: Array) -> tuple[float, float, float]:
+def _perceive(seen: Seen, p: Array) -> tuple[float, float, float]:
     """Compute the true gap, which the driver sees: the measured gap plus ``p[0]`` [m]."""
     return seen.gap + p[0], seen.speed, seen.leader_speed
 
 
 @kernel
-def perceive_later(seen: Seen, p: Array) -> tuple[float, float, float]:
+def _perceive_later(seen: Seen, p: Array) -> tuple[float, float, float]:
     """Compute what the driver sees of a leader whose clock differs by ``p[0]`` [s], to first order."""
     leader_speed = max(seen.leader_speed + p[0] * seen.leader_acceleration, 0.0)
     return seen.gap + p[0] * seen.leader_speed, seen.speed, leader_speed
@@ -28,7 +28,7 @@ _CLOCK = Effect(
     source="kinematics: a leader drives on between two clocks, to first order",
     parameters=(Parameter("offset", "δ_t", "s", 0.0, -1.0, 1.0, "the driver's own clock minus the leader's"),),
     starts=at({"offset": 0.05}),
-    function=perceive_later,
+    function=_perceive_later,
     individual=True,
     sees_accelerations=True,
 )
@@ -42,7 +42,7 @@ EFFECT = Effect(
     source="Punzo, Borzacchiello and Ciuffo, Transp. Res. C 19 (2011) 1243",
     parameters=(Parameter("offset", "δ", "m", 0.0, -5.0, 5.0, "true gap minus measured gap"),),
     starts=at({"offset": 0.1}),
-    function=perceive,
+    function=_perceive,
     individual=True,
     forms=(_CLOCK,),
 )

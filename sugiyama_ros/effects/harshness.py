@@ -7,7 +7,7 @@ from sugiyama_ros.jit import kernel
 
 
 @kernel(vectorised=True)
-def component(seen: Seen, action: float, period: float, horizon: int, p: Array) -> float:
+def _component(seen: Seen, action: float, period: float, horizon: int, p: Array) -> float:
     """Compute the cost of holding an action: its square, in units of 4 m/s^2."""
     return float(-p[0] * action * action / 16.0)
 
@@ -21,5 +21,5 @@ EFFECT = Effect(
     source="Naumann, Sun, Zhan and Tomizuka, ICRA (2020), as the paper proposes in section 3.2",
     parameters=(Parameter("weight", "w_h", "1", 0.0, 0.0, 100.0, "weight beside the reward of the desired speed"),),
     starts=at({"weight": 0.01}, {"weight": 0.1}),
-    function=component,
+    function=_component,
 )

@@ -10,7 +10,7 @@ from sugiyama_ros.jit import kernel
 
 
 @kernel(vectorised=True)
-def component(seen: Seen, action: float, period: float, horizon: int, p: Array) -> float:
+def _component(seen: Seen, action: float, period: float, horizon: int, p: Array) -> float:
     """Compute the cost of a speed at the end of the look-ahead that is not the leader's, in units of 4 m/s."""
     off = seen.speed + horizon * period * action - seen.leader_speed
     return float(-p[0] * math.exp(-min(seen.gap, FAR) / p[1]) * off * off / 16.0)
@@ -28,6 +28,6 @@ EFFECT = Effect(
         Parameter("range", "R", "m", 0.0, 1.0, 1000.0, "gap at which the attraction is 1/e"),
     ),
     starts=at({"weight": 0.01, "range": 50.0}, {"weight": 0.1, "range": 50.0}),
-    function=component,
+    function=_component,
     fixed=("range",),
 )

@@ -7,7 +7,7 @@ from sugiyama_ros.jit import kernel
 
 
 @kernel
-def actuate(acceleration: float, seen: Seen, p: Array) -> float:
+def _actuate(acceleration: float, seen: Seen, p: Array) -> float:
     """Keep the acceleration [m/s^2] at or below P / v; speeds below 0.1 m/s count as 0.1 m/s."""
     return min(acceleration, float(p[0]) / max(seen.speed, 0.1))
 
@@ -21,7 +21,7 @@ EFFECT = Effect(
     source="Rakha and Lucic, J. Transp. Eng. 128 (2002) 161",
     parameters=(Parameter("power", "P", "m^2/s^3", 0.0, 0.2, 1e3, "power per mass of vehicle; 0 for no limit"),),
     starts=at({"power": 4.0}, {"power": 9.0}, {"power": 20.0}),
-    function=actuate,
+    function=_actuate,
     is_limit=True,
     bank={"power": 10.0},
     benchmark=({"power": 13.0}, {"power": 17.0}),

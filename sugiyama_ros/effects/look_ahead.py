@@ -8,7 +8,7 @@ from sugiyama_ros.jit import kernel
 
 
 @kernel(vectorised=True)
-def component(seen: Seen, action: float, period: float, horizon: int, p: Array, driver: Preferences) -> float:
+def _component(seen: Seen, action: float, period: float, horizon: int, p: Array, driver: Preferences) -> float:
     """Compute the risk of the whole look-ahead in place of the risk of the usual one.
 
     The look-ahead ends between two periods, too, so that its length [s] is a continuous parameter. What lies beyond
@@ -44,7 +44,6 @@ EFFECT = Effect(
     source="paper, sections 3.1 and 3.2.2: the look-ahead is a choice of the model",
     parameters=(Parameter("extra", "T+", "s", 0.0, -1.0, 10.0, "time beyond the usual look-ahead of 4/3 s"),),
     starts=at({"extra": 0.5}, {"extra": 2.0}),
-    function=component,
+    function=_component,
     is_constant=True,
-    knows_preferences=True,
 )

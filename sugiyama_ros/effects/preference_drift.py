@@ -4,7 +4,7 @@ import math
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
-from sugiyama_ros.effects.effect import PREFERENCE, Effect, RecordingExtent, Seen, Values, at
+from sugiyama_ros.effects.effect import PREFERENCE, Effect, Extent, Seen, Values, at
 from sugiyama_ros.jit import kernel
 
 _SOURCE = "Hoogendoorn, Ossen and Schreuder, Transp. Res. Rec. 1965 (2006) 112"
@@ -13,7 +13,7 @@ _FOREVER_S = 3000.0
 
 
 @kernel
-def trend(v_star: float, kappa_v: float, seen: Seen, p: Array) -> tuple[float, float]:
+def _trend(v_star: float, kappa_v: float, seen: Seen, p: Array) -> tuple[float, float]:
     """Change the preferences in proportion to the time since ``p[2]`` [s], in their logarithms."""
     since = seen.time - p[2]
     return (
@@ -22,7 +22,7 @@ def trend(v_star: float, kappa_v: float, seen: Seen, p: Array) -> tuple[float, f
     )
 
 
-def _trends(recording: RecordingExtent) -> tuple[Values, ...]:
+def _trends(recording: Extent) -> tuple[Values, ...]:
     length, middle = recording.end_s - recording.start_s, 0.5 * (recording.start_s + recording.end_s)
     rate = 0.05 / max(length, 1.0)
     return ({"v_star_rate": -rate, "kappa_v_rate": rate, "time": middle},)
@@ -41,7 +41,7 @@ _TREND = Effect(
         Parameter("time", "t_m", "s", 0.0, -1e12, 1e12, "time at which the preferences are the driver's own", "time"),
     ),
     starts=_trends,
-    function=trend,
+    function=_trend,
     strengths=("v_star_rate", "kappa_v_rate"),
     fixed=("time",),
 )

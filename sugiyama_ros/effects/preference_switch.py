@@ -4,22 +4,22 @@ import math
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
-from sugiyama_ros.effects.effect import PREFERENCE, Effect, RecordingExtent, Seen, Values
+from sugiyama_ros.effects.effect import PREFERENCE, Effect, Extent, Seen, Values
 from sugiyama_ros.jit import kernel
 
-#: Time [s] that the switch takes. The switch is smooth, so that an optimiser can search for its moment.
-RISE_S = 0.5
+# Time [s] that the switch takes. The switch is smooth, so that an optimiser can search for its moment.
+_RISE_S = 0.5
 _TIMES = 9
 
 
 @kernel
-def prefer(v_star: float, kappa_v: float, seen: Seen, p: Array) -> tuple[float, float]:
+def _prefer(v_star: float, kappa_v: float, seen: Seen, p: Array) -> tuple[float, float]:
     """Change the preferences smoothly around the time ``p[2]`` [s]."""
-    share = 1.0 / (1.0 + math.exp(min(max((p[2] - seen.time) / RISE_S, -50.0), 50.0)))
+    share = 1.0 / (1.0 + math.exp(min(max((p[2] - seen.time) / _RISE_S, -50.0), 50.0)))
     return v_star * math.exp(p[0] * share), kappa_v * math.exp(p[1] * share)
 
 
-def _starts(recording: RecordingExtent) -> tuple[Values, ...]:
+def _starts(recording: Extent) -> tuple[Values, ...]:
     length = recording.end_s - recording.start_s
     return tuple(
         {"v_star_change": -0.05, "kappa_v_change": 0.05, "time": recording.start_s + (k + 1) / (_TIMES + 1) * length}
@@ -40,7 +40,7 @@ EFFECT = Effect(
         Parameter("time", "t_s", "s", 0.0, -1e12, 1e12, "time of the recording at which the switch happens", "time"),
     ),
     starts=_starts,
-    function=prefer,
+    function=_prefer,
     strengths=("v_star_change", "kappa_v_change"),
     benchmark=(
         {"v_star_change": -0.04, "kappa_v_change": 0.08},

@@ -10,7 +10,7 @@ _DELAY = (Parameter("delay", "T_r", "s", 0.0, 0.0, 2.0, "reaction time"),)
 
 
 @kernel
-def perceive(seen: Seen, p: Array) -> tuple[float, float, float]:
+def _perceive(seen: Seen, p: Array) -> tuple[float, float, float]:
     """Estimate the gap [m] and the speeds [m/s] ``p[0]`` seconds ago, to first order in the delay."""
     delay = p[0]
     return (
@@ -21,13 +21,13 @@ def perceive(seen: Seen, p: Array) -> tuple[float, float, float]:
 
 
 @kernel
-def others_late(seen: Seen, p: Array) -> tuple[float, float, float]:
+def _others_late(seen: Seen, p: Array) -> tuple[float, float, float]:
     """Return the gap [m] and the leader's speed [m/s] of the past, and the own speed [m/s] of now."""
     return seen.past_gap, seen.speed, seen.past_leader_speed
 
 
 @kernel
-def all_late(seen: Seen, p: Array) -> tuple[float, float, float]:
+def _all_late(seen: Seen, p: Array) -> tuple[float, float, float]:
     """Return the gap [m] and both speeds [m/s] of the past."""
     return seen.past_gap, seen.past_speed, seen.past_leader_speed
 
@@ -41,7 +41,7 @@ _OTHERS = Effect(
     source=_SOURCE,
     parameters=_DELAY,
     starts=at({"delay": 0.3}, {"delay": 0.6}, {"delay": 1.1}),
-    function=others_late,
+    function=_others_late,
     looks_back=True,
 )
 _ALL = Effect(
@@ -53,7 +53,7 @@ _ALL = Effect(
     source=_SOURCE,
     parameters=_DELAY,
     starts=at({"delay": 0.3}, {"delay": 0.6}, {"delay": 1.1}),
-    function=all_late,
+    function=_all_late,
     looks_back=True,
 )
 EFFECT = Effect(
@@ -65,7 +65,7 @@ EFFECT = Effect(
     source=_SOURCE,
     parameters=_DELAY,
     starts=at({"delay": 0.03}, {"delay": 0.1}, {"delay": 0.3}),
-    function=perceive,
+    function=_perceive,
     sees_accelerations=True,
     bank={"delay": 0.1},
     benchmark=({"delay": 0.18}, {"delay": 0.1}),

@@ -11,7 +11,7 @@ from sugiyama_ros.jit import kernel
 
 
 @kernel
-def actuate(acceleration: float, seen: Seen, p: Array) -> float:
+def _actuate(acceleration: float, seen: Seen, p: Array) -> float:
     """Add to the intended acceleration [m/s^2] a push that falls exponentially with the gap behind."""
     if math.isinf(seen.rear_gap):
         return acceleration
@@ -19,7 +19,7 @@ def actuate(acceleration: float, seen: Seen, p: Array) -> float:
 
 
 @kernel(vectorised=True)
-def component(seen: Seen, action: float, period: float, horizon: int, p: Array, driver: Preferences) -> float:
+def _component(seen: Seen, action: float, period: float, horizon: int, p: Array, driver: Preferences) -> float:
     """Compute the risk that the follower runs into the car, as the driver judges the risk of the leader."""
     if math.isinf(seen.rear_gap):
         return 0.0
@@ -37,8 +37,7 @@ _UTILITY = Effect(
     parameters=(Parameter("weight", "w_r", "1", 0.0, 0.0, 10.0, "weight beside the risk of the leader"),),
     starts=at({"weight": 0.003}, {"weight": 0.03}),
     sees_rear=True,
-    function=component,
-    knows_preferences=True,
+    function=_component,
 )
 EFFECT = Effect(
     name="rear_pressure",
@@ -54,7 +53,7 @@ EFFECT = Effect(
     starts=at({"strength": 0.3, "distance": 2.0}, {"strength": 0.3, "distance": 6.0}),
     least={"strength": 0.0},
     sees_rear=True,
-    function=actuate,
+    function=_actuate,
     bank={"strength": 1.0, "distance": 3.0},
     benchmark=({"strength": 1.5, "distance": 2.5}, {"strength": 0.6, "distance": 2.5}),
     forms=(_UTILITY,),

@@ -21,7 +21,7 @@ from sugiyama_ros.laws.registry import LAWS, PAPERS
 
 
 @dataclass(frozen=True, eq=False)
-class RowLayout:
+class _RowLayout:
     """Where each parameter of laws and effects stands in a driver's row.
 
     law: index of the entry that holds the number of the law; law_places: entries of each law's parameters, by the name
@@ -36,7 +36,7 @@ class RowLayout:
     declared: tuple[Parameter, ...]
 
     @classmethod
-    def of(cls, laws: Mapping[str, Sequence[Parameter]], effects: Mapping[str, Sequence[Parameter]]) -> "RowLayout":
+    def of(cls, laws: Mapping[str, Sequence[Parameter]], effects: Mapping[str, Sequence[Parameter]]) -> "_RowLayout":
         """Lay out a row for laws and effects."""
         declared = [*PARAMETERS, Parameter("law", "", "1", 0.0, 0.0, float(len(laws)), "number of the law")]
         entries = [p.name for p in declared]
@@ -127,7 +127,7 @@ MECHANISM: Mapping[str, str] = {name: name for name in EFFECTS} | {
     form.name: effect.name for effect in EFFECTS.values() for form in effect.forms
 }
 #: Where every parameter stands in a driver's row.
-ROW = RowLayout.of(
+ROW = _RowLayout.of(
     {name: law.parameters for name, law in LAWS.items() if name != PAPERS},
     {name: effect.parameters for name, effect in EFFECTS.items()},
 )
@@ -194,3 +194,35 @@ def _check_companions(rows: Array, name: str) -> None:
     for smaller, larger in one.ascending:
         if not (acting[..., ROW.index_of(name, smaller)] < acting[..., ROW.index_of(name, larger)]).all():
             raise InputError(f"effect {name}: {larger} must be larger than {smaller}")
+
+
+def read_parameter(text: str, where: str) -> tuple[str, float]:
+    """Name and value of a parameter from ``NAME=VALUE``. Raises InputError."""
+    name, _, value = text.partition("=")
+    try:
+        return name, float(value)
+    except ValueError:
+        raise InputError(f"{where} {text}: is not NAME=VALUE with a number as value") from None
+
+
+def read_effect(text: str, where: str) -> tuple[str, dict[str, float]]:
+    """Name of an effect and values of its parameters from ``NAME:PARAMETER=VALUE[,PARAMETER=VALUE]``.
+
+    Raises InputError.
+    """
+    name, _, pairs = text.partition(":")
+    try:
+        return name, {k: float(v) for k, _, v in (pair.partition("=") for pair in pairs.split(","))}
+    except ValueError:
+        raise InputError(f"{where} {text}: is not NAME:PARAMETER=VALUE[,PARAMETER=VALUE]{_parameters(name)}") from None
+
+
+def _parameters(name: str) -> str:
+    """The parameters that an effect has, for the error of one without values."""
+    if name not in EFFECTS:
+        return ""
+    known = (
+        f"{p.name} ({p.lower:g} to {p.upper:g}{f' {p.unit}' if p.unit != '1' else ''})"
+        for p in EFFECTS[name].parameters
+    )
+    return f"; {name} has {', '.join(known)}"

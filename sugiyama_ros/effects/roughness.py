@@ -7,7 +7,7 @@ from sugiyama_ros.jit import kernel
 
 
 @kernel(vectorised=True)
-def component(seen: Seen, action: float, period: float, horizon: int, p: Array) -> float:
+def _component(seen: Seen, action: float, period: float, horizon: int, p: Array) -> float:
     """Compute the cost of an action that differs from the acceleration of the last period, in units of 4 m/s^2."""
     change = action - seen.acceleration
     return float(-p[0] * change * change / 16.0)
@@ -22,6 +22,6 @@ EFFECT = Effect(
     source="Naumann, Sun, Zhan and Tomizuka, ICRA (2020), as the paper proposes in section 3.2",
     parameters=(Parameter("weight", "w_r", "1", 0.0, 0.0, 100.0, "weight beside the reward of the desired speed"),),
     starts=at({"weight": 0.01}, {"weight": 0.1}),
-    function=component,
+    function=_component,
     sees_accelerations=True,
 )

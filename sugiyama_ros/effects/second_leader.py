@@ -11,7 +11,7 @@ from sugiyama_ros.jit import kernel
 
 
 @kernel
-def perceive(seen: Seen, p: Array) -> tuple[float, float, float]:
+def _perceive(seen: Seen, p: Array) -> tuple[float, float, float]:
     """Compute the gap and the leader's speed as weighted means over the two vehicles ahead.
 
     The gap to the second vehicle counts as half the sum of both gaps.
@@ -24,7 +24,7 @@ def perceive(seen: Seen, p: Array) -> tuple[float, float, float]:
 
 
 @kernel(vectorised=True)
-def component(seen: Seen, action: float, period: float, horizon: int, p: Array, driver: Preferences) -> float:
+def _component(seen: Seen, action: float, period: float, horizon: int, p: Array, driver: Preferences) -> float:
     """Compute the risk of the second vehicle ahead, at the share ``p[1]`` of the sum of both gaps."""
     if math.isinf(seen.second_gap):
         return 0.0
@@ -44,9 +44,8 @@ _UTILITY = Effect(
         Parameter("share", "s_2", "1", 0.0, 0.2, 1.0, "share of the sum of both gaps that counts as the gap"),
     ),
     starts=at({"weight": 0.01, "share": 0.5}, {"weight": 0.1, "share": 0.5}, {"weight": 0.1, "share": 0.9}),
-    function=component,
+    function=_component,
     reach=2,
-    knows_preferences=True,
 )
 EFFECT = Effect(
     name="second_leader",
@@ -57,7 +56,7 @@ EFFECT = Effect(
     source="Lenz, Wagner and Sollacher, Eur. Phys. J. B 7 (1999) 331",
     parameters=(Parameter("weight", "w_2", "1", 0.0, 0.0, 1.0, "share of attention for the second vehicle ahead"),),
     starts=at({"weight": 0.1}, {"weight": 0.4}),
-    function=perceive,
+    function=_perceive,
     reach=2,
     bank={"weight": 0.15},
     benchmark=({"weight": 0.28}, {"weight": 0.09}),

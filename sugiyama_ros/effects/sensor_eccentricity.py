@@ -4,12 +4,12 @@ import math
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
-from sugiyama_ros.effects.effect import MEASUREMENT, Effect, RecordingExtent, Values
+from sugiyama_ros.effects.effect import MEASUREMENT, Effect, Extent, Values
 from sugiyama_ros.jit import kernel
 
 
 @kernel
-def displacement(position: float, circumference: float, p: Array) -> tuple[float, float]:
+def _displacement(position: float, circumference: float, p: Array) -> tuple[float, float]:
     """Compute the measured minus the true position [m] and its derivative: one wave around the ring."""
     if circumference == 0.0:
         return 0.0, 0.0
@@ -19,7 +19,7 @@ def displacement(position: float, circumference: float, p: Array) -> tuple[float
 
 
 @kernel
-def distortion(position: float, circumference: float, p: Array) -> tuple[float, float]:
+def _distortion(position: float, circumference: float, p: Array) -> tuple[float, float]:
     """Compute the measured minus the true position [m] and its derivative: two and three waves around the ring."""
     if circumference == 0.0:
         return 0.0, 0.0
@@ -31,11 +31,11 @@ def distortion(position: float, circumference: float, p: Array) -> tuple[float, 
     return offset, turn * slope
 
 
-def _starts(recording: RecordingExtent) -> tuple[Values, ...]:
+def _starts(recording: Extent) -> tuple[Values, ...]:
     return ({"cosine": 0.1, "sine": 0.1},) if recording.circumference_m else ()
 
 
-def _starts_of_distortion(recording: RecordingExtent) -> tuple[Values, ...]:
+def _starts_of_distortion(recording: Extent) -> tuple[Values, ...]:
     some = {"cosine_2": 0.1, "sine_2": 0.1, "cosine_3": 0.1, "sine_3": 0.1}
     return (some,) if recording.circumference_m else ()
 
@@ -55,7 +55,7 @@ _DISTORTION = Effect(
     ),
     starts=_starts_of_distortion,
     strengths=("cosine_2", "sine_2", "cosine_3", "sine_3"),
-    displacement=distortion,
+    displacement=_distortion,
 )
 
 EFFECT = Effect(
@@ -71,7 +71,7 @@ EFFECT = Effect(
     ),
     starts=_starts,
     strengths=("cosine", "sine"),
-    displacement=displacement,
+    displacement=_displacement,
     benchmark=({"cosine": 0.8, "sine": 0.6}, {"cosine": 0.3, "sine": 0.2}),
     forms=(_DISTORTION,),
 )

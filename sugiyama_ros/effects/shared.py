@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from sugiyama_ros.driver.parameters import Parameter
 from sugiyama_ros.driver.utility import Preferences, anticipate, collision_penalty, gap_and_scale, gap_scale
-from sugiyama_ros.effects.effect import RecordingExtent, Seen, Values
+from sugiyama_ros.effects.effect import Extent, Seen, Values
 from sugiyama_ros.jit import kernel
 
 #: Parameters of the part of the road.
@@ -28,10 +28,10 @@ def bump(seen: Seen, centre: float, width: float) -> float:
     return 0.5 + 0.5 * math.cos(2.0 * math.pi * off / width)
 
 
-def around(strength: Values) -> Callable[[RecordingExtent], tuple[Values, ...]]:
+def around(strength: Values) -> Callable[[Extent], tuple[Values, ...]]:
     """Make the starts of a search at places all along the road; strength: values of the other parameters."""
 
-    def starts(recording: RecordingExtent) -> tuple[Values, ...]:
+    def starts(recording: Extent) -> tuple[Values, ...]:
         first = 0.0 if recording.circumference_m else recording.first_m
         extent = recording.circumference_m or recording.last_m - recording.first_m
         return tuple(

@@ -8,7 +8,7 @@ from sugiyama_ros.jit import kernel
 
 
 @kernel
-def prefer(v_star: float, kappa_v: float, seen: Seen, p: Array) -> tuple[float, float]:
+def _prefer(v_star: float, kappa_v: float, seen: Seen, p: Array) -> tuple[float, float]:
     """Reduce the desired speed [m/s] by a share that is largest in the middle of the patch."""
     return v_star * max(1.0 - p[0] * bump(seen, p[1], p[2]), 0.05), kappa_v
 
@@ -25,7 +25,7 @@ EFFECT = Effect(
         *PLACE,
     ),
     starts=around({"reduction": 0.1}),
-    function=prefer,
+    function=_prefer,
     bank={"reduction": 0.05},
     benchmark=({"reduction": 0.07, "width": 80.0}, {"reduction": 0.03, "width": 80.0}),
     advice={"road_grade": "survey the road, or record standing starts all along the road"},

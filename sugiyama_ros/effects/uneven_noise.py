@@ -4,12 +4,12 @@ import math
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
-from sugiyama_ros.effects.effect import MEASUREMENT, Effect, RecordingExtent, Values
+from sugiyama_ros.effects.effect import MEASUREMENT, Effect, Extent, Values
 from sugiyama_ros.jit import kernel
 
 
 @kernel
-def factor(position: float, circumference: float, p: Array) -> float:
+def _factor(position: float, circumference: float, p: Array) -> float:
     """Compute the factor of the std of the measurement noise; its logarithm is one wave around the ring."""
     if circumference == 0.0:
         return 1.0
@@ -17,7 +17,7 @@ def factor(position: float, circumference: float, p: Array) -> float:
     return math.exp(p[0] * math.cos(angle) + p[1] * math.sin(angle))
 
 
-def _starts(recording: RecordingExtent) -> tuple[Values, ...]:
+def _starts(recording: Extent) -> tuple[Values, ...]:
     waves = ({"cosine": 0.15, "sine": 0.0}, {"cosine": 0.0, "sine": 0.15})
     return waves if recording.circumference_m else ()
 
@@ -35,7 +35,6 @@ EFFECT = Effect(
     ),
     starts=_starts,
     strengths=("cosine", "sine"),
-    measurement_noise_factor=factor,
-    is_noise=True,
+    measurement_noise_factor=_factor,
     benchmark=({"cosine": 0.14, "sine": 0.1}, {"cosine": 0.08, "sine": 0.05}),
 )

@@ -14,7 +14,7 @@ import yaml
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import COUNT, NAMES, check_for_filter, population
-from sugiyama_ros.effects.effect import RecordingExtent
+from sugiyama_ros.effects.effect import Extent
 from sugiyama_ros.effects.registry import EFFECTS, GROUP, ROW, active, effect, index_of, switch_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.files import Target, number, read_yaml, writing
@@ -28,7 +28,7 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 
 _FORMAT = 1
 # A recording in which every effect that a fit can find has a start.
-_A_RING = RecordingExtent(0.0, 100.0, 100.0, 0.0, 100.0)
+_A_RING = Extent(0.0, 100.0, 100.0, 0.0, 100.0)
 # libyaml, if it is installed, is ten times faster
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 

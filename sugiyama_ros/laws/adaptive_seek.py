@@ -8,7 +8,7 @@ from sugiyama_ros.laws.law import Law
 
 
 @kernel
-def adaptive_seek(gap: float, speed: float, leader_speed: float, p: Array) -> float:
+def _adaptive_seek(gap: float, speed: float, leader_speed: float, p: Array) -> float:
     """Compute the mean action [m/s^2] at the reference period, p = the parameters (P,) of ``driver.parameters``."""
     return mean_action(gap, speed, leader_speed, p, ACTIONS, REFERENCE_PERIOD_S, REFERENCE_HORIZON)
 
@@ -19,5 +19,5 @@ LAW = Law(
     summary="the Boltzmann mean of the actions, for an anticipated utility of speed and risk",
     source="Dai, Shen, Wang, Huang and Filev, Calibration of Human Driving Behavior and Preference (the paper)",
     parameters=PARAMETERS,
-    function=adaptive_seek,
+    function=_adaptive_seek,
 )

@@ -6,7 +6,7 @@ from sugiyama_ros.laws.law import Law
 
 
 @kernel
-def constant_speed(gap: float, speed: float, leader_speed: float, p: Array) -> float:
+def _constant_speed(gap: float, speed: float, leader_speed: float, p: Array) -> float:
     """Return the acceleration 0 [m/s^2]."""
     return 0.0
 
@@ -17,5 +17,5 @@ LAW = Law(
     summary="no acceleration except noise",
     source="the simplest possible reference",
     parameters=(),
-    function=constant_speed,
+    function=_constant_speed,
 )

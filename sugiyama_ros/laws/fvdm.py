@@ -11,7 +11,7 @@ _SOURCE = "Jiang, Wu and Zhu, Phys. Rev. E 64 (2001) 017101"
 
 
 @kernel
-def fvdm(gap: float, speed: float, leader_speed: float, p: Array) -> float:
+def _fvdm(gap: float, speed: float, leader_speed: float, p: Array) -> float:
     """Compute the acceleration [m/s^2] of the full velocity difference model, p = kappa, lambda, V1, V2, C1, C2.
 
     The optimal velocity is the function of Helbing and Tilch, as in the model's paper.
@@ -35,5 +35,5 @@ LAW = Law(
         Parameter("C1", "C_1", "1/m", 0.2, 0.005, 5.0, f"optimal velocity: steepness; {_SOURCE}"),
         Parameter("C2", "C_2", "1", 1.0, -5.0, 10.0, f"optimal velocity: place of the turning point; {_SOURCE}"),
     ),
-    function=fvdm,
+    function=_fvdm,
 )

@@ -11,7 +11,7 @@ _SOURCE = "Gipps, Transp. Res. B 15 (1981) 105"
 
 
 @kernel
-def gipps(gap: float, speed: float, leader_speed: float, p: Array) -> float:
+def _gipps(gap: float, speed: float, leader_speed: float, p: Array) -> float:
     """Compute the acceleration [m/s^2] of Gipps' law, p = v0, a, b, b_leader, tau, s0.
 
     The law gives the speed after the reaction time tau. The acceleration is the change of speed over tau. The driver
@@ -42,5 +42,5 @@ LAW = Law(
         Parameter("tau", "τ", "s", 0.7, 0.1, 3.0, f"reaction time; {_SOURCE}"),
         Parameter("s0", "s_0", "m", 1.5, 0.0, 20.0, f"gap at standstill; {_SOURCE}"),
     ),
-    function=gipps,
+    function=_gipps,
 )

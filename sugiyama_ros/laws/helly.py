@@ -11,7 +11,7 @@ _SOURCE = "Helly, Simulation of bottlenecks in single-lane traffic flow (1959)"
 
 
 @kernel
-def helly(gap: float, speed: float, leader_speed: float, p: Array) -> float:
+def _helly(gap: float, speed: float, leader_speed: float, p: Array) -> float:
     """Compute the acceleration [m/s^2] of Helly's law, p = c_v, c_s, d, T.
 
     The acceleration is linear in the relative speed and in the difference between the gap and the wanted gap d + T v.
@@ -33,5 +33,5 @@ LAW = Law(
         Parameter("d", "α", "m", 1.5, 0.0, 20.0, f"gap at standstill; {_SOURCE}"),
         Parameter("T", "β", "s", 0.8, 0.0, 5.0, f"wanted time gap; {_SOURCE}"),
     ),
-    function=helly,
+    function=_helly,
 )

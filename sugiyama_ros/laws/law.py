@@ -7,8 +7,6 @@ from sugiyama_ros.driver.parameters import Parameter, check_declared
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.jit import kernel
 
-#: Acceleration [m/s^2] as a function of gap [m], speed [m/s], leader's speed [m/s] and the law's parameters (K,).
-LawFunction = Callable[..., float]
 _HARDEST, _STRONGEST = float(ACTIONS[0]), float(ACTIONS[-1])
 
 
@@ -39,7 +37,7 @@ class Law:
     summary: str
     source: str
     parameters: tuple[Parameter, ...]
-    function: LawFunction
+    function: Callable[..., float]
 
     def __post_init__(self) -> None:
         check_declared(self.name, self.parameters)

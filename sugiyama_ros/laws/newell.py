@@ -11,7 +11,7 @@ _SOURCE = "Newell, Transp. Res. B 36 (2002) 195"
 
 
 @kernel
-def newell(gap: float, speed: float, leader_speed: float, p: Array) -> float:
+def _newell(gap: float, speed: float, leader_speed: float, p: Array) -> float:
     """Compute the acceleration [m/s^2] of Newell's law, p = v0, tau, d, T.
 
     A driver repeats the leader's trajectory a time tau later and a distance d behind. So the driver wants the speed
@@ -32,5 +32,5 @@ LAW = Law(
         Parameter("d", "d", "m", 1.5, 0.0, 20.0, f"gap at standstill; {_SOURCE}"),
         Parameter("T", "T", "s", 1.0, 0.1, 20.0, "relaxation time of the speed; added here"),
     ),
-    function=newell,
+    function=_newell,
 )

@@ -11,7 +11,7 @@ _SOURCE = "Bando, Hasebe, Nakayama, Shibata and Sugiyama, Phys. Rev. E 51 (1995)
 
 
 @kernel
-def ovm(gap: float, speed: float, leader_speed: float, p: Array) -> float:
+def _ovm(gap: float, speed: float, leader_speed: float, p: Array) -> float:
     """Compute the acceleration [m/s^2] of the optimal velocity model, p = kappa, V, c, g.
 
     The optimal velocity V (tanh(c (gap - g)) + tanh(c g)) is 0 at contact. The source chooses units in which V and c
@@ -34,5 +34,5 @@ LAW = Law(
         Parameter("c", "c", "1/m", 0.2, 0.005, 5.0, f"steepness of the optimal velocity; {_SOURCE}"),
         Parameter("g", "g", "m", 5.0, 0.0, 100.0, f"gap at the turning point; {_SOURCE}"),
     ),
-    function=ovm,
+    function=_ovm,
 )

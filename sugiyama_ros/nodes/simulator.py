@@ -10,8 +10,7 @@ from sugiyama_msgs.srv import SetDriver
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import COUNT, NAMES, defaults
-from sugiyama_ros.effects.registry import ROW
-from sugiyama_ros.effects.texts import read_effect
+from sugiyama_ros.effects.registry import ROW, read_effect
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.nodes.base import incoming

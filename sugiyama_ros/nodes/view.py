@@ -26,7 +26,7 @@ from sugiyama_msgs.msg import Road as RoadMessage
 from sugiyama_msgs.srv import AddEffect, RemoveEffect
 
 from sugiyama_ros.driver.parameters import population
-from sugiyama_ros.effects.effect import RecordingExtent
+from sugiyama_ros.effects.effect import Extent
 from sugiyama_ros.effects.registry import EFFECTS, effect
 from sugiyama_ros.filters.chain import CHAIN
 from sugiyama_ros.filters.online import OnlineFilter, warm_up
@@ -243,10 +243,10 @@ class View(Node):
     def _happened(self, what: str) -> None:
         self._events.appendleft(f"{self._latest_s:.0f} s: {what}" if math.isfinite(self._latest_s) else what)
 
-    def _recording(self) -> RecordingExtent:
+    def _recording(self) -> Extent:
         ring_m = self.road.circumference_m
         duration_s = float(self._road.period_s * self._road.steps) if self._road is not None else 1.0
-        return RecordingExtent(0.0, duration_s, ring_m, 0.0, ring_m)
+        return Extent(0.0, duration_s, ring_m, 0.0, ring_m)
 
     def _call(
         self, kind: type, services: Sequence[str], request: Any, on_success: Callable[[], None] = lambda: None
@@ -446,7 +446,7 @@ class BaseModel:
         return errors
 
 
-def can_be_added(extent: RecordingExtent) -> dict[str, str]:
+def can_be_added(extent: Extent) -> dict[str, str]:
     """Effects that can be added while drivers are followed; each with what it is, and what its parameters mean."""
     names = [name for name, e in EFFECTS.items() if e.function is not None and e.starts(extent)]
     return {name: explained(name) for name in names}

@@ -80,7 +80,7 @@ HURRIED = effect("hurried", PREFERENCE, hurried)
 GENTLE = effect("gentle", UTILITY, gentle)
 WEAK = effect("weak", ACTUATION, weak)
 HALF = effect("half", ACTUATION, memory=Memory(half, half_expected))
-DISPLACED = effect("displaced", MEASUREMENT, displacement=displaced, is_noise=True)
+DISPLACED = effect("displaced", MEASUREMENT, displacement=displaced)
 """
 ENTRIES = """
 [sugiyama_ros.effects]

@@ -45,7 +45,7 @@ from sugiyama_ros import progress
 names, told = json.loads(sys.argv[1]), set()
 progress.on_compiling = lambda what, done, total: told.add(what)
 from sugiyama_ros.effects.registry import EFFECTS, ROW, switch_on
-import sugiyama_ros.effects.hooks
+import sugiyama_ros.effects.control
 early = set(told)
 from sugiyama_ros.api import simulate
 from sugiyama_ros.driver.parameters import defaults

@@ -17,7 +17,7 @@ from sugiyama_ros.driver.parameters import (
 from sugiyama_ros.driver.utility import ACTIONS, UTILITY_ROW, boltzmann_mean, preferences, scratch_for, utilities
 from sugiyama_ros.effects import perception_threshold
 from sugiyama_ros.effects.control import add_components
-from sugiyama_ros.effects.effect import STAGES, UTILITY, RecordingExtent, Seen
+from sugiyama_ros.effects.effect import STAGES, UTILITY, Extent, Seen, takes_preferences
 from sugiyama_ros.effects.registry import EFFECTS, ROW, active, effect, index_of, switch_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.causal import filter_chain, log_likelihood
@@ -121,7 +121,7 @@ def test_an_effect_is_declared(name):
         assert p.unit
         assert p.description
     assert set(e.switches) <= {p.name for p in e.parameters}
-    for start in e.starts(RecordingExtent(0.0, 100.0, 230.0, 0.0, 230.0)):
+    for start in e.starts(Extent(0.0, 100.0, 230.0, 0.0, 230.0)):
         assert set(start) == {p.name for p in e.parameters}
         switch_on(np.zeros(ROW.width), name, start)
 
@@ -248,7 +248,7 @@ def test_a_component_adds_the_same_to_each_utility_as_for_one_action(name, horiz
     e, preferred, before = effect(name), preferences(row), np.linspace(-1.0, 1.0, len(ACTIONS))
     after = np.repeat(before, stride)
     add_components(seen, ACTIONS, 1.0 / 3.0, horizon, row, preferred, np.empty(len(ACTIONS)), after, stride)
-    rest = (preferred,) if e.knows_preferences else ()
+    rest = (preferred,) if takes_preferences(e.function) else ()
     p = row[ROW.places[name]]
     alone = np.array([e.function(seen, action, 1.0 / 3.0, horizon, p, *rest) for action in ACTIONS])
     assert np.ptp(alone) > 0.001
@@ -264,7 +264,7 @@ def mean_action_with(name: str, gap: float, leader_speed: float, horizon: int = 
     utilities(gap, 8.0, leader_speed, preferences(row), scratch, REFERENCE_PERIOD_S, horizon)
     if name:
         p = np.array([values[one.name] for one in effect(name).parameters])
-        more = (preferences(row),) if effect(name).knows_preferences else ()
+        more = (preferences(row),) if takes_preferences(effect(name).function) else ()
         for k, action in enumerate(ACTIONS):
             scratch[UTILITY_ROW, k] += effect(name).function(
                 seen, action, REFERENCE_PERIOD_S, REFERENCE_HORIZON, p, *more
