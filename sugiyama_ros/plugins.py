@@ -6,6 +6,7 @@ offers it through an entry point, for example ``[project.entry-points."sugiyama_
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from difflib import get_close_matches
 from functools import cache
 from importlib import import_module, metadata
 from types import ModuleType
@@ -127,7 +128,9 @@ def find(extensions: Mapping[str, _Kind], group: str, name: str, what: str) -> _
         return extensions[name]
     if (group, name) in FAILED:
         raise InputError(f"{what} {name}: {FAILED[group, name]}")
-    raise InputError(f"{what} {name!r}: not known; choose among {', '.join(extensions)}")
+    near = get_close_matches(name.lower(), extensions, 1)
+    meant = f"did you mean {near[0]}? " if near else ""
+    raise InputError(f"{what} {name!r}: not known; {meant}choose among {', '.join(extensions)}")
 
 
 class ExtensionModule(ModuleType, Mapping[str, Any]):

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sugiyama_ros.cli.options import (
-    PAPERS,
     Json,
     Law,
     Overwrite,
@@ -22,6 +21,7 @@ from sugiyama_ros.cli.options import (
 )
 from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, print_warnings
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.laws import PAPERS
 from sugiyama_ros.progress import stage
 
 if TYPE_CHECKING:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sugiyama_ros.cli.options import (
-    PAPERS,
     Json,
     Law,
     ModelFile,
@@ -28,6 +27,7 @@ from sugiyama_ros.cli.options import (
 )
 from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, print_warnings, to_json
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.laws import PAPERS
 from sugiyama_ros.progress import stages
 from sugiyama_ros.results import plain
 

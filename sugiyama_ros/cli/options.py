@@ -37,8 +37,6 @@ Rate = Annotated[
 ModelFile = Annotated[
     Path | None, typer.Option("--model", help="Model file (YAML), written by diagnose -o or calibrate -o.")
 ]
-#: The paper's law: the default of ``--law``.
-PAPERS = "adaptive_seek"
 Law = Annotated[str, typer.Option("--law", help="Name of the law by which the drivers drive; see `sugiyama laws`.")]
 SetParameter = Annotated[
     list[str] | None, typer.Option("--set", help="NAME=VALUE: parameter of all drivers. May be repeated.")

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sugiyama_ros.cli.options import (
-    PAPERS,
     AddEffect,
     Json,
     Law,
@@ -36,6 +35,7 @@ from sugiyama_ros.cli.output import (
 )
 from sugiyama_ros.cli.report import report
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.laws import PAPERS
 from sugiyama_ros.nodes.executables import ros_needed
 from sugiyama_ros.progress import stage
 from sugiyama_ros.results import TextTable
@@ -252,6 +252,7 @@ class LiveOptions:
     rate: Rate = "1"
     ring: Ring = None
     model: ModelFile = None
+    law: Law = PAPERS
     host: Annotated[
         str,
         typer.Option("--host", help="Address to listen on. If other machines can reach it, the page asks for a token."),
@@ -280,7 +281,9 @@ def live(options: LiveOptions) -> None:
         raise InputError("--host: is empty; leave it out for this machine alone, or give an address such as 0.0.0.0")
     print_cautions(options.model)
     output = own_output(options.output, _LIVE, options.overwrite)
-    settings = RunSettings(rate_of(options.rate), options.ring, options.model, critic=True, overwrite=output.overwrite)
+    settings = RunSettings(
+        rate_of(options.rate), options.ring, options.model, options.law, critic=True, overwrite=output.overwrite
+    )
     domain = environment.isolate() if options.source is not None else environment.domain()
     print_note(f"{'starting the nodes' if options.source is not None else 'listening'} in ROS domain {domain}")
     before = _time_of(output.path)

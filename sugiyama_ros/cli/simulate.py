@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sugiyama_ros.cli.options import (
-    PAPERS,
     AddEffect,
     Json,
     Law,
@@ -24,6 +23,7 @@ from sugiyama_ros.cli.options import (
 )
 from sugiyama_ros.cli.output import print_cautions, print_json, print_line, print_note
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.laws import PAPERS
 
 if TYPE_CHECKING:
     from sugiyama_ros.arrays import Array

@@ -4,4 +4,7 @@ import sys
 
 from sugiyama_ros.plugins import ExtensionModule
 
+#: Name of the paper's driver model. The other laws are compared with it.
+PAPERS = "adaptive_seek"
+
 sys.modules[__name__].__class__ = ExtensionModule

@@ -6,6 +6,7 @@ Another package adds a law with an entry point of the group ``sugiyama_ros.laws`
 from collections.abc import Mapping
 
 from sugiyama_ros import plugins
+from sugiyama_ros.laws import PAPERS as PAPERS
 from sugiyama_ros.laws.law import Law
 
 #: Group of the entry points by which other packages add laws.
@@ -26,9 +27,8 @@ LAWS: Mapping[str, Law] = plugins.registered(
     ),
     "LAW",
 )
-#: Number and name of the paper's driver model. The other laws are compared with it.
+#: Number of the paper's driver model.
 ADAPTIVE_SEEK = 0
-PAPERS = "adaptive_seek"
 #: Names of all laws except adaptiveSeek.
 RIVALS: tuple[str, ...] = tuple(LAWS)[1:]
 

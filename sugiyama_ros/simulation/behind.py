@@ -5,12 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints, Mask
-from sugiyama_ros.driver.parameters import RHO, SIGMA_A, SIGMA_NU, SIGMA_V, SIGMA_X, horizon_at
-from sugiyama_ros.driver.utility import ACTIONS, advance
-from sugiyama_ros.effects.control import displacements, noise_factor, noise_std_factors, spoil
+from sugiyama_ros.driver.parameters import horizon_at
+from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.road import Road
-from sugiyama_ros.simulation.drive import Order, Setting, begin, drive
-from sugiyama_ros.simulation.wandering import Wandering
+from sugiyama_ros.simulation.drive import Order, Setting, Wandering, begin, drive, measure, move
 
 # A driver who is faster than this [m/s] in reverse drives backward; noise moves those who stand a little.
 _BACKWARD = 2.0
@@ -53,7 +51,7 @@ def drive_behind(recorded: RecordedTraffic, rows: Array, rng: np.random.Generato
     past: Array = np.full((samples, 2, len(everybody)), np.nan)
     for k in range(samples):
         if k > 0:
-            _advance(own, rows, recorded.period_s, rng)
+            own[:3] = move((own[0], own[1], own[2]), own[3] + own[4] + own[2], rows, recorded.period_s, rng)
         lost = there & ((_gaps(own[0], recorded, k) <= 0.0) | (own[1] < -_BACKWARD))
         again = (can_drive[k] & ~there) | lost
         if k > 0:
@@ -67,11 +65,7 @@ def drive_behind(recorded: RecordedTraffic, rows: Array, rng: np.random.Generato
         past[k] = recorded.state[k, :, :2].T
         past[k, :, :drivers] = own[:2]
         _decide(own, everybody, recorded, k, setting, past)
-        noise = rows[:, SIGMA_NU] * rng.standard_normal(drivers)
-        noise *= noise_std_factors(own[0], recorded.road.circumference_m, rows)
-        noise = spoil(noise, rows, rng_of_effects)
-        off = displacements(own[0], recorded.road.circumference_m, rows)
-        measured[k, there] = recorded.road.wrap(own[0] + off + noise)[there]
+        measured[k, there] = measure(own[0], recorded.road, rows, rng, rng_of_effects)[there]
     return measured, np.cumsum(begins, axis=1)
 
 
@@ -90,16 +84,6 @@ def _gaps(position: Array, recorded: RecordedTraffic, k: int) -> Array:
     length = recorded.length_m[k]
     way = recorded.road.space_headway(recorded.state[k, leader, 0], position)
     return np.where(leader >= 0, way - 0.5 * (length[leader] + length[:drivers]), np.inf)
-
-
-def _advance(own: Array, rows: Array, period_s: float, rng: np.random.Generator) -> None:
-    """Move drivers by one period; own: (5, N) position, speed, noise, held acceleration and push, in place."""
-    x, v, n, b, pushed = own
-    shock = rng.standard_normal((3, len(x)))
-    factor = np.array([noise_factor(speed, row) for speed, row in zip(v, rows, strict=True)])
-    position, speed = advance(x, v, b + pushed + n, period_s)
-    own[0], own[1] = position + rows[:, SIGMA_X] * shock[0], speed + rows[:, SIGMA_V] * shock[1]
-    own[2] = rows[:, RHO] * n + rows[:, SIGMA_A] * factor * shock[2]
 
 
 def _decide(own: Array, rows: Array, recorded: RecordedTraffic, k: int, setting: Setting, past: Array) -> None:

@@ -6,10 +6,25 @@ from typing import NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.driver.utility import scratch_for
-from sugiyama_ros.effects.control import carry_out, intend, looks_back
+from sugiyama_ros.driver.parameters import RHO, SIGMA_A, SIGMA_NU, SIGMA_V, SIGMA_X, index
+from sugiyama_ros.driver.utility import advance, scratch_for
+from sugiyama_ros.effects.control import (
+    carry_out,
+    displacements,
+    intend,
+    looks_back,
+    noise_factor,
+    noise_std_factors,
+    spoil,
+)
 from sugiyama_ros.effects.effect import Seen
+from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.jit import kernel
+from sugiyama_ros.road import Road
+
+# Positions [m], speeds [m/s] and acceleration noises [m/s^2] of N vehicles.
+_Motion = tuple[Array, Array, Array]
+_WANDERING = tuple(e for e in EFFECTS.values() if e.wanders)
 
 
 class Traffic(NamedTuple):
@@ -167,3 +182,60 @@ def drive(
         )
         meant, pushed[i] = intend(seen, rows[i], scratch, setting.period, setting.horizon)
         out[i] = carry_out(meant, traffic.held[i], rows[i], setting.period)
+
+
+def move(own: _Motion, acceleration: Array, rows: Array, period: float, rng: np.random.Generator) -> _Motion:
+    """Move vehicles by one period [s], with random shocks.
+
+    acceleration: (N,), of the cars [m/s^2]; rows: (N, width), rows of the drivers at this period.
+    """
+    x, v, noise = own
+    shock = rng.standard_normal((3, len(x)))
+    factor = np.array([noise_factor(speed, row) for speed, row in zip(v, rows, strict=True)])
+    position, speed = advance(x, v, acceleration, period)
+    return (
+        position + rows[:, SIGMA_X] * shock[0],
+        speed + rows[:, SIGMA_V] * shock[1],
+        rows[:, RHO] * noise + rows[:, SIGMA_A] * factor * shock[2],
+    )
+
+
+def measure(
+    position: Array, road: Road, rows: Array, rng: np.random.Generator, rng_of_effects: np.random.Generator
+) -> Array:
+    """Measure positions (N,) [m] of drivers with rows (N, width), wrapped on a ring; draws measurement noise."""
+    noise = rows[:, SIGMA_NU] * rng.standard_normal(len(position))
+    noise *= noise_std_factors(position, road.circumference_m, rows)
+    noise = spoil(noise, rows, rng_of_effects)
+    off = displacements(position, road.circumference_m, rows)
+    return road.wrap(position + off + noise)
+
+
+class Wandering:
+    """Preferences of N drivers that wander as Ornstein-Uhlenbeck processes.
+
+    period_s: time [s] between two samples; rng: generator of the random changes.
+    """
+
+    def __init__(self, period_s: float, rng: np.random.Generator) -> None:
+        self._period_s, self._rng = period_s, rng
+        self._mood: dict[str, Array] = {}
+
+    def next_rows(self, drivers: Array) -> Array:
+        """Return the rows (N, width) of the drivers, at the period of the samples, with the preferences of the moment.
+
+        The rows that are given stay as they are.
+        """
+        rows = drivers
+        for effect in _WANDERING:
+            std, time = drivers[:, ROW.places[effect.name]].T[:2]
+            if not std.any():
+                continue
+            is_first = effect.name not in self._mood
+            mood = self._mood.setdefault(effect.name, np.zeros((len(effect.wanders), len(rows))))
+            memory: Array = np.exp(-self._period_s / np.where(std > 0.0, time, 1.0)) * (not is_first)
+            fresh = self._rng.standard_normal(mood.shape)
+            mood[:] = memory * mood + std * np.sqrt(1.0 - np.square(memory)) * fresh
+            rows = rows.copy()
+            rows[:, [index(name) for name in effect.wanders]] *= np.exp(mood.T)
+        return rows

@@ -15,8 +15,8 @@ from sugiyama_ros.simulation.result import Simulation
 from sugiyama_ros.simulation.simulator import Clock, Simulator, evenly, platoon, simulate
 from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M
 
-#: Vehicles on a road, at most.
-MAX_VEHICLES = 100_000
+# Vehicles on a road, at most.
+_MAX_VEHICLES = 100_000
 
 
 @dataclass(frozen=True)
@@ -61,15 +61,9 @@ class Experiment:
         return round(self.duration_s / self.period_s) + 1
 
     def check(self, vehicles: int) -> None:
-        """Check that a number of vehicles can be simulated.
-
-        Raises
-        ------
-        InputError
-            For a number that is not finite or makes no sense, or more samples than a file may have.
-        """
+        """Check that a number of vehicles can be simulated. Raises InputError."""
         for name, value, lower, upper in (
-            ("vehicles", vehicles, 1, MAX_VEHICLES),
+            ("vehicles", vehicles, 1, _MAX_VEHICLES),
             ("duration", self.duration_s, 0.0, 1e9),
             ("gap", self.gap_m, 0.0, 1e6),
             ("period", self.period_s, 1e-3, 1e3),
@@ -93,25 +87,7 @@ class Experiment:
 
 
 def set_up(experiment: Experiment, rows: Array) -> Simulator:
-    """Put the vehicles of an experiment at their start.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        The setting.
-    rows : ndarray, shape (N, width)
-        Rows of the drivers at the reference period; they stay as they are.
-
-    Returns
-    -------
-    Simulator
-        The drivers at rest.
-
-    Raises
-    ------
-    InputError
-        If the vehicles do not fit on the ring, or `Experiment.check` fails.
-    """
+    """Put the vehicles of an experiment at their start; rows (N, width) at the reference period. Raises InputError."""
     experiment.check(len(rows))
     vehicles, rows = len(rows), rows.copy()
     rng = np.random.default_rng(experiment.seed)
@@ -137,50 +113,12 @@ def spread_out(rows: Array, spread: float, rng: np.random.Generator) -> None:
 
 
 def carry_out(experiment: Experiment, rows: Array) -> Simulation:
-    """Simulate an experiment.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        The setting.
-    rows : ndarray, shape (N, width)
-        Rows of the drivers at the reference period; they stay as they are.
-
-    Returns
-    -------
-    Simulation
-        Positions as a camera would have measured them, and the true motion.
-
-    Raises
-    ------
-    InputError
-        If the vehicles do not fit on the ring, or `Experiment.check` fails.
-    """
+    """Simulate an experiment; rows (N, width) at the reference period. Raises InputError."""
     return simulate(set_up(experiment, rows), experiment.duration_s)
 
 
 def changed(rows: Array, parameters: Mapping[str, float], effects: Mapping[str, Mapping[str, float]]) -> Array:
-    """Change the parameters of drivers, and switch effects on.
-
-    Parameters
-    ----------
-    rows : ndarray, shape (N, width)
-        Rows of the drivers; they stay as they are.
-    parameters : mapping of str to float
-        Values by the name of the parameter.
-    effects : mapping of str to mapping
-        Values by the name of the effect and of its parameter.
-
-    Returns
-    -------
-    ndarray, shape (N, width)
-        Rows of the changed drivers.
-
-    Raises
-    ------
-    InputError
-        For an unknown name, or a value of an effect out of bounds.
-    """
+    """Return rows (N, width) with other parameters, and with effects switched on. Raises InputError."""
     rows = rows.copy()
     for name, value in parameters.items():
         rows[:, index(name)] = value

@@ -10,25 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.driver.parameters import (
-    REFERENCE_PERIOD_S,
-    RHO,
-    SIGMA_A,
-    SIGMA_NU,
-    SIGMA_V,
-    SIGMA_X,
-    at_period,
-    check,
-    horizon_at,
-)
-from sugiyama_ros.driver.utility import ACTIONS, advance
-from sugiyama_ros.effects.control import displacements, noise_factor, noise_std_factors, spoil
+from sugiyama_ros.driver.parameters import REFERENCE_PERIOD_S, at_period, check, horizon_at
+from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
-from sugiyama_ros.simulation.drive import Order, Setting, Traffic, begin, drive, remember, see
+from sugiyama_ros.simulation.drive import Order, Setting, Traffic, Wandering, begin, drive, measure, move, remember, see
 from sugiyama_ros.simulation.result import Collision, Simulation
-from sugiyama_ros.simulation.wandering import Wandering
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 
@@ -88,7 +76,7 @@ class Simulator:
         self._turn[-1] = -road.circumference_m
         self.position_m = position_m.astype(np.float64).copy()
         self.speed = np.zeros(vehicles) if speed is None else speed.astype(np.float64).copy()
-        self.noise = np.zeros(vehicles)
+        self.noise: Array = np.zeros(vehicles)
         self.held: Array = np.zeros(vehicles)
         self.acceleration: Array = np.zeros(vehicles)
         self.step_number = 0
@@ -137,24 +125,18 @@ class Simulator:
 
     def measure(self) -> Array:
         """Measure the positions [m] at the present sample, shape (N,), wrapped on a ring; draws measurement noise."""
-        noise = self.parameters[:, SIGMA_NU] * self._rng.standard_normal(len(self.position_m))
-        noise *= noise_std_factors(self.position_m, self.road.circumference_m, self.parameters)
-        noise = spoil(noise, self.parameters, self._rng_of_effects)
-        off = displacements(self.position_m, self.road.circumference_m, self.parameters)
-        return self.road.wrap(self.position_m + off + noise)
+        return measure(self.position_m, self.road, self.parameters, self._rng, self._rng_of_effects)
 
     def step(self, recorded: tuple[Ints, Array, Array] | None = None) -> tuple[Collision, ...]:
         """Advance all drivers by one period, and return the collisions that began in this period.
 
         recorded: numbers of vehicles that move as recorded, and their positions [m] and speeds [m/s] after the period.
         """
-        shock = self._rng.standard_normal((3, len(self.position_m)))
-        p = self.parameters
-        factor = np.array([noise_factor(v, row) for v, row in zip(self.speed, p, strict=True)])
         remember(self._traffic)
-        position, speed = advance(self.position_m, self.speed, self.acceleration, self.period_s)
-        self.position_m, self.speed = position + p[:, SIGMA_X] * shock[0], speed + p[:, SIGMA_V] * shock[1]
-        self.noise = p[:, RHO] * self.noise + p[:, SIGMA_A] * factor * shock[2]
+        own = self.position_m, self.speed, self.noise
+        self.position_m, self.speed, self.noise = move(
+            own, self.acceleration, self.parameters, self.period_s, self._rng
+        )
         if recorded is not None:
             places, position, speed = recorded
             self.position_m[places], self.speed[places] = position, speed

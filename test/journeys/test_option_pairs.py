@@ -160,7 +160,7 @@ CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
     ],
     "compare": [("ring.csv", "no --ring")],
     "report": [("--output old.html", "no --overwrite")],
-    "live": [("--output old.mcap", "no --overwrite"), ("ring.csv", "no --ring")],
+    "live": [("--output old.mcap", "no --overwrite"), ("ring.csv", "no --ring"), ("--law", "--model")],
     "recover": [("--output old.mcap", "no --overwrite")],
     "convert": [
         ("old.mcap", "no --overwrite"),

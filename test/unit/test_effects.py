@@ -338,7 +338,7 @@ def test_an_effect_added_in_mid_run_keeps_what_was_learnt():
 
 def test_bad_values_are_refused_in_one_line():
     row = np.zeros(ROW.width)
-    with pytest.raises(InputError, match="effect 'drug': not known; choose among reaction_delay"):
+    with pytest.raises(InputError, match=r"effect 'drug': not known; did you mean drag\? choose among reaction_delay"):
         effect("drug")
     with pytest.raises(InputError, match="effect drag: has no parameter 'c3'; it has c0, c2"):
         switch_on(row, "drag", {"c3": 1.0})
