@@ -60,31 +60,31 @@ def _print_version(wanted: bool) -> None:
 
 
 @app.callback()
-def sugiyama(
+def _sugiyama(
     version: Annotated[
         bool, typer.Option("--version", is_eager=True, callback=_print_version, help="Show the version and exit.")
     ] = False,
 ) -> None:
     """Estimate how people drive, live or from recordings, and find out what the driver model lacks."""
-    check_limit()
-    share_heap()
+    _check_limit()
+    _share_heap()
     progress.on_compiling = progress.CompilingTold()
 
 
-#: Address space [bytes] below which libraries may end in an endless loop instead of an error.
+# Address space [bytes] below which libraries may end in an endless loop instead of an error.
 _LEAST = 1 << 30
 # Parameter of mallopt in glibc: the largest number of heaps.
 _HEAPS = -8
 
 
-def check_limit() -> None:
+def _check_limit() -> None:
     """Raise InputError if the shell gives less address space than the libraries need."""
     limit = limit_bytes()
     if limit is not None and limit < _LEAST:
         raise InputError(f"ulimit -v: gives {limit >> 20} MB of memory; the commands need {_LEAST >> 20} MB or more")
 
 
-def share_heap() -> None:
+def _share_heap() -> None:
     """Let all threads share one heap: by default each has its own, and keeps what it has freed (glibc)."""
     # other C libraries have no mallopt
     with contextlib.suppress(AttributeError, OSError, TypeError):

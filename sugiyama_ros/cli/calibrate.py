@@ -31,18 +31,16 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class CalibrateOptions:
+class _CalibrateOptions:
     """Arguments and options of the command."""
 
     sources: Sources
     formulation: Annotated[
-        str,
-        typer.Option("--formulation", help="paper: perceived states are smoothed. causal: they are filtered."),
+        str, typer.Option(help="causal: states are filtered, without a look ahead. paper: they are smoothed.")
     ] = "causal"
     parameters: Annotated[
         str,
         typer.Option(
-            "--parameters",
             help="Parameters to estimate, separated by commas. Default: sigma_nu,sigma_a,v_star,kappa_v, and"
             " sigma_x,sigma_v where the positions are smooth.",
         ),
@@ -50,13 +48,15 @@ class CalibrateOptions:
     effects: Annotated[
         str,
         typer.Option(
-            "--effects", help="Effects to fit with the parameters, separated by commas. Causal formulation only."
+            help="Effects to fit with the parameters, separated by commas; `sugiyama effects` lists them. Causal"
+            " formulation only."
         ),
     ] = ""
     regularise: Annotated[
         bool,
         typer.Option(
-            "--regularise", help="causal: the drivers are draws from one population. paper: add the paper's penalty."
+            "--regularise",
+            help="Let the drivers resemble each other: as draws from one population, or by the paper's penalty.",
         ),
     ] = False
     profile: Annotated[
@@ -67,10 +67,7 @@ class CalibrateOptions:
     ] = False
     law: Law = PAPERS
     classes: Annotated[
-        int,
-        typer.Option(
-            "--classes", min=0, help="Number of classes of drivers who share all parameters, for short recordings."
-        ),
+        int, typer.Option(min=0, help="Number of classes of drivers who share all parameters, for short recordings.")
     ] = 0
     seed: Seed = 0
     scheduler: Scheduler = None
@@ -98,8 +95,8 @@ class CalibrateOptions:
         return settings
 
 
-@takes(CalibrateOptions)
-def calibrate(options: CalibrateOptions) -> None:
+@takes(_CalibrateOptions)
+def calibrate(options: _CalibrateOptions) -> None:
     """Estimate the parameters of each driver.
 
     The estimates are maximum-likelihood estimates, with their uncertainty.
@@ -125,7 +122,7 @@ def calibrate(options: CalibrateOptions) -> None:
         print_note(f"caution: {line}")
 
 
-def _recording(options: CalibrateOptions, needs_one_lane: bool) -> "Trajectories | Tracks":
+def _recording(options: _CalibrateOptions, needs_one_lane: bool) -> "Trajectories | Tracks":
     """Read one lane on which everybody is present, or tracks. Raises InputError."""
     from sugiyama_ros.formats.choices import Choices
     from sugiyama_ros.formats.folder import read_files

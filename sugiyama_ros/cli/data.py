@@ -25,7 +25,7 @@ _EPOCH = 1970
 
 
 @dataclasses.dataclass(frozen=True)
-class ConvertOptions:
+class _ConvertOptions:
     """What ``sugiyama convert`` takes."""
 
     source: Annotated[Path, typer.Argument(help="File or folder of trajectories, in any known format.")]
@@ -65,8 +65,8 @@ class ConvertOptions:
     as_json: Json = False
 
 
-@takes(ConvertOptions)
-def convert(options: ConvertOptions) -> None:
+@takes(_ConvertOptions)
+def convert(options: _ConvertOptions) -> None:
     """Convert trajectories to tracks, or one lane to MCAP.
 
     Tracks are a table in Parquet or CSV. An MCAP file has the topics /road and /measured. With --odometry, the tracks
@@ -85,7 +85,7 @@ def convert(options: ConvertOptions) -> None:
     _tell_tracks(tracks, options)
 
 
-def _convert_seen(options: ConvertOptions) -> None:
+def _convert_seen(options: _ConvertOptions) -> None:
     """Convert what a perception has seen to tracks."""
     from sugiyama_ros.bridges.bridge import read_bridge
     from sugiyama_ros.bridges.from_bag import tracks_of_bag
@@ -107,7 +107,7 @@ def _convert_seen(options: ConvertOptions) -> None:
     _tell_tracks(tracks, options)
 
 
-def _tell_tracks(tracks: "Tracks", options: ConvertOptions) -> None:
+def _tell_tracks(tracks: "Tracks", options: _ConvertOptions) -> None:
     """Say what was written."""
     document = {"output": str(options.output), **_document_of(tracks)}
     if options.as_json:
@@ -117,14 +117,14 @@ def _tell_tracks(tracks: "Tracks", options: ConvertOptions) -> None:
     _print_tracks(document)
 
 
-def _only_files(options: ConvertOptions) -> ConvertOptions:
+def _only_files(options: _ConvertOptions) -> _ConvertOptions:
     """The same files and ring, with everything else left out."""
-    return ConvertOptions(
+    return _ConvertOptions(
         options.source, options.output, options.ring, overwrite=options.overwrite, as_json=options.as_json
     )
 
 
-def _part(options: ConvertOptions) -> "Part":
+def _part(options: _ConvertOptions) -> "Part":
     """Which part of the source the options ask for."""
     from sugiyama_ros.formats.choices import Choices, read_choices, reference_of
     from sugiyama_ros.formats.convert import Part
@@ -147,7 +147,7 @@ def _part(options: ConvertOptions) -> "Part":
     return Part(options.format, choices, selection, options.period)
 
 
-def _convert_to_bag(options: ConvertOptions) -> None:
+def _convert_to_bag(options: _ConvertOptions) -> None:
     from sugiyama_ros.formats.convert import convert as convert_file
 
     t = convert_file(options.source, to_write(options.output, options.overwrite), options.ring)

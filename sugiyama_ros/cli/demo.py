@@ -26,8 +26,7 @@ _OWN = "sugiyama-demo.mcap"
 
 def demo(
     data: Annotated[
-        Path | None,
-        typer.Option("--data", help="Measured trajectories in any known format, instead of simulated ones."),
+        Path | None, typer.Option(help="Measured trajectories in any known format, instead of simulated ones.")
     ] = None,
     output: Annotated[
         Path | None,
@@ -40,7 +39,8 @@ def demo(
     overwrite: Overwrite = False,
     ring: Ring = None,
     hidden: Annotated[
-        str, typer.Option("--hidden", help="Effect that the simulated drivers have and the model lacks.")
+        str,
+        typer.Option(help="Effect that the simulated drivers have and the model lacks; `sugiyama effects` lists them."),
     ] = "slow_patch",
     seed: Seed = 1,
     show: Annotated[bool, typer.Option("--open", help="Open the report in the browser.")] = False,

@@ -39,17 +39,16 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class DiagnoseOptions:
+class _DiagnoseOptions:
     """Arguments and options of ``sugiyama diagnose``."""
 
     sources: Sources
     add: Annotated[
         str | None,
         typer.Option(
-            "--add",
-            help="auto: add what the data ask for, in as many steps as they ask for; by default in three steps at most."
-            " Or names, separated by commas: these are added whatever the data say of them. They are effects, their"
-            " forms, response_constants and other groups of constants, or discovered_force:COVARIATE.",
+            help="auto: add effects for as long as the data ask for more; without --add, in three steps at most. Or"
+            " names, separated by commas: add these, whatever the data say. `sugiyama effects` lists them; groups of"
+            " constants such as response_constants, and discovered_force:COVARIATE, have names, too.",
         ),
     ] = None
     output: Annotated[
@@ -58,10 +57,10 @@ class DiagnoseOptions:
     ] = None
     save: Annotated[
         Path | None,
-        typer.Option("--save", help="Document (JSON) to write, for `sugiyama report --diagnosis`: all that was found."),
+        typer.Option(help="Document (JSON) to write with all that was found, for `sugiyama report --diagnosis`."),
     ] = None
     simulations: Annotated[
-        int, typer.Option("--simulations", min=1, help="Number of recordings that each model simulates, for checks.")
+        int, typer.Option(min=1, help="Number of recordings that each model simulates, for the checks.")
     ] = 2
     overwrite: Overwrite = False
     ring: Ring = None
@@ -71,8 +70,8 @@ class DiagnoseOptions:
     as_json: Json = False
 
 
-@takes(DiagnoseOptions)
-def diagnose(options: DiagnoseOptions) -> None:
+@takes(_DiagnoseOptions)
+def diagnose(options: _DiagnoseOptions) -> None:
     """Find out what the model lacks.
 
     The diagnosis says where the model fails, which effect explains the failure, and how certain that is.
@@ -137,7 +136,7 @@ def _names(add: str | None) -> tuple[str, ...]:
     return names(add)
 
 
-def _print_found(found: Mapping[str, Any], options: DiagnoseOptions) -> None:
+def _print_found(found: Mapping[str, Any], options: _DiagnoseOptions) -> None:
     """Print the verdict, and the tables that it rests on."""
     from sugiyama_ros.page import tables
 
@@ -148,17 +147,17 @@ def _print_found(found: Mapping[str, Any], options: DiagnoseOptions) -> None:
         print_table(tables.by_driver(found))
 
 
-def _command(options: DiagnoseOptions, **changed: object) -> str:
+def _command(options: _DiagnoseOptions, **changed: object) -> str:
     """The command with these options, of which some are changed."""
-    return command_line("diagnose", DiagnoseOptions, **{**vars(options), **changed})
+    return command_line("diagnose", _DiagnoseOptions, **{**vars(options), **changed})
 
 
-def _given(options: DiagnoseOptions) -> dict[str, object]:
+def _given(options: _DiagnoseOptions) -> dict[str, object]:
     """What a page needs to say how to run the same data."""
     return {"sources": [str(one) for one in options.sources], "ring_m": options.ring}
 
 
-def _print_next(found: Mapping[str, Any], options: DiagnoseOptions) -> None:
+def _print_next(found: Mapping[str, Any], options: _DiagnoseOptions) -> None:
     """Say what to do next, as commands that can be pasted."""
     from sugiyama_ros.api import FEW_STEPS
     from sugiyama_ros.cli.run import RunOptions
@@ -170,7 +169,7 @@ def _print_next(found: Mapping[str, Any], options: DiagnoseOptions) -> None:
 
     bag, effects = bag_for(sources[0]), found["verdict"]["effects"]
     if model is not None:
-        compared = command_line("compare", CompareOptions, sources=sources, model=model, ring=ring, seed=options.seed)
+        compared = command_line("compare", _CompareOptions, sources=sources, model=model, ring=ring, seed=options.seed)
         print_line(f"model file: {model} (compare it: {compared})")
         if options.save is None and len(sources) == 1:
             print_line(f"use it: {run()}")
@@ -188,11 +187,13 @@ def _print_next(found: Mapping[str, Any], options: DiagnoseOptions) -> None:
 
 
 @dataclass(frozen=True)
-class CompareOptions:
+class _CompareOptions:
     """Arguments and options of ``sugiyama compare``."""
 
     sources: Sources
-    effects: Annotated[str, typer.Option("--effects", help="Effects to add to the model, separated by commas.")] = ""
+    effects: Annotated[
+        str, typer.Option(help="Effects to add to the model, separated by commas; `sugiyama effects` lists them.")
+    ] = ""
     model: ModelFile = None
     show_all: Annotated[bool, typer.Option("--all", help="Print all models, and what the whole road does.")] = False
     ring: Ring = None
@@ -201,8 +202,8 @@ class CompareOptions:
     as_json: Json = False
 
 
-@takes(CompareOptions)
-def compare(options: CompareOptions) -> None:
+@takes(_CompareOptions)
+def compare(options: _CompareOptions) -> None:
     """Compare the model with measurements and with other models.
 
     The comparison uses samples that no fit has seen. It says which model forecasts best, and by how much.
@@ -227,13 +228,13 @@ def compare(options: CompareOptions) -> None:
     _print_compared(document, options, given)
 
 
-def _print_compared(found: Mapping[str, Any], options: CompareOptions, given: "model_file.ModelFile | None") -> None:
+def _print_compared(found: Mapping[str, Any], options: _CompareOptions, given: "model_file.ModelFile | None") -> None:
     """Print which model forecasts best, and the table; ``given``: what the model file holds."""
     from sugiyama_ros.page import tables
     from sugiyama_ros.page.words import best_model, left_out
 
     def again(**changed: object) -> str:
-        return command_line("compare", CompareOptions, **{**vars(options), **changed})
+        return command_line("compare", _CompareOptions, **{**vars(options), **changed})
 
     models = found["models"]
     print_line(best_model(found))

@@ -1,6 +1,5 @@
 """Options that several commands share, and the checks of their values."""
 
-import dataclasses
 import functools
 import inspect
 import itertools
@@ -16,28 +15,22 @@ from typer.models import ArgumentInfo
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.files import Output
 
-Source = Annotated[Path, typer.Argument(help="Trajectories: a file in any known format.")]
 Sources = Annotated[
-    list[Path],
-    typer.Argument(help="Trajectories: a file or a folder in any known format. Of several, each is a recording."),
+    list[Path], typer.Argument(help="Trajectories: files or folders in any known format, each of which is a recording.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document instead of text.")]
-Ring = Annotated[
-    float | None, typer.Option("--ring", help="Circumference of the road [m], if the file does not give it.")
-]
+Ring = Annotated[float | None, typer.Option(help="Circumference of the road [m], if the file does not give it.")]
 Scheduler = Annotated[
-    str | None,
-    typer.Option("--scheduler", help="Dask scheduler whose workers do the work, such as tcp://host:8786."),
+    str | None, typer.Option(help="Address of a Dask scheduler whose workers do the work, such as tcp://host:8786.")
 ]
-Recording = Annotated[Path, typer.Option("--output", "-o", help="MCAP file to write.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace output files that are there already.")]
 Rate = Annotated[
-    str, typer.Option("--rate", help="Speed of the replay in multiples of real time, or max for as fast as possible.")
+    str, typer.Option(help="Speed of the replay in multiples of real time, or max for as fast as possible.")
 ]
 ModelFile = Annotated[
     Path | None, typer.Option("--model", help="Model file (YAML), written by diagnose -o or calibrate -o.")
 ]
-Law = Annotated[str, typer.Option("--law", help="Name of the law by which the drivers drive; see `sugiyama laws`.")]
+Law = Annotated[str, typer.Option(help="Car-following law by which the drivers drive; `sugiyama laws` lists them.")]
 SetParameter = Annotated[
     list[str] | None, typer.Option("--set", help="NAME=VALUE: parameter of all drivers. May be repeated.")
 ]
@@ -45,8 +38,7 @@ AddEffect = Annotated[
     list[str] | None,
     typer.Option("--effect", help="NAME:PARAMETER=VALUE[,...]: effect on all drivers. May be repeated."),
 ]
-Start = Annotated[str, typer.Option("--start", help="Start in a jam, or on a ring with equal gaps: jam or equal.")]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of the random numbers.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of the random numbers.")]
 
 _Options = TypeVar("_Options")
 
@@ -56,25 +48,17 @@ def takes(options: type[_Options]) -> Callable[[Callable[[_Options], None]], Cal
 
     Typer reads the parameters of a function. This decorator shows Typer one parameter for each field of ``options``.
     """
-    hints = get_type_hints(options, include_extras=True)
 
     def decorate(function: Callable[[_Options], None]) -> Callable[..., None]:
         @functools.wraps(function)
         def command(**values: object) -> None:
             function(options(**values))
 
-        command.__annotations__ = hints
-        command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-            [_parameter(field, hints[field.name]) for field in dataclasses.fields(options)]  # type: ignore[arg-type]
-        )
+        command.__annotations__ = get_type_hints(options, include_extras=True)
+        command.__signature__ = inspect.signature(options)  # type: ignore[attr-defined]
         return command
 
     return decorate
-
-
-def _parameter(field: "dataclasses.Field[object]", annotation: object) -> inspect.Parameter:
-    default = inspect.Parameter.empty if field.default is dataclasses.MISSING else field.default
-    return inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
 def command_line(name: str, options: Callable[..., object], **values: object) -> str:

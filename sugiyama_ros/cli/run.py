@@ -16,7 +16,6 @@ from sugiyama_ros.cli.options import (
     ModelFile,
     Overwrite,
     Rate,
-    Recording,
     Ring,
     SetParameter,
     command_line,
@@ -54,7 +53,7 @@ _LIVE = "sugiyama-live.mcap"
 class RunOptions:
     """Arguments and options of ``sugiyama run``."""
 
-    output: Recording
+    output: Annotated[Path, typer.Option("--output", "-o", help="MCAP file to write.")]
     source: Annotated[
         Path | None, typer.Argument(help="Trajectories: a file in any known format. With --simulate, none.")
     ] = None
@@ -75,7 +74,9 @@ class RunOptions:
     ring: Ring = None
     model: ModelFile = None
     law: Law = PAPERS
-    critic: Annotated[bool, typer.Option("--critic", help="Start a critic, which publishes /verdict.")] = False
+    critic: Annotated[
+        bool, typer.Option("--critic", help="Start the critic, which publishes on /verdict what the model lacks.")
+    ] = False
     save_state: Annotated[
         Path | None, typer.Option("--save-state", help="Directory to save what the estimators learn of each driver.")
     ] = None
@@ -85,11 +86,11 @@ class RunOptions:
     ] = None
     array: Annotated[
         bool,
-        typer.Option("--array", help="Publish all drivers in one message, /drivers, instead of on topics of each."),
+        typer.Option("--array", help="Publish all drivers in one message on /drivers, not on topics of each driver."),
     ] = False
     engine: Annotated[
         str,
-        typer.Option("--engine", help="Of the filters: compiled, or filterpy, the same by slower code to be read."),
+        typer.Option(help="Code of the filters: compiled, or filterpy (slower and easy to read, the same numbers)."),
     ] = "compiled"
     as_json: Json = False
 
@@ -105,7 +106,7 @@ def run(options: RunOptions) -> None:
     except KeyboardInterrupt:
         print_note("interrupted before the first sample; nothing was recorded")
         raise
-    print_run(result, options.as_json)
+    _print_run(result, options.as_json)
 
 
 def replay(options: RunOptions) -> "RunResult":
@@ -177,7 +178,7 @@ def _source(options: RunOptions) -> "Path | FromSimulator":
     return FromSimulator(vehicles, experiment, changes=changes, effects=tuple(options.effect or ()))
 
 
-def print_run(result: "RunResult", as_json: bool) -> None:
+def _print_run(result: "RunResult", as_json: bool) -> None:
     """Print what the estimators know at the end of a run."""
     from sugiyama_ros.effects.registry import ROW
     from sugiyama_ros.page.recording import against_truth
@@ -237,7 +238,7 @@ def _end(result: "RunResult") -> None:
 
 
 @dataclass(frozen=True)
-class LiveOptions:
+class _LiveOptions:
     """Arguments and options of ``sugiyama live``."""
 
     source: Annotated[
@@ -261,8 +262,8 @@ class LiveOptions:
     show: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False
 
 
-@takes(LiveOptions)
-def live(options: LiveOptions) -> None:
+@takes(_LiveOptions)
+def live(options: _LiveOptions) -> None:
     """Serve a web page that shows the topics as they arrive.
 
     Ctrl-C ends it.

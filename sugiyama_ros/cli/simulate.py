@@ -16,7 +16,6 @@ from sugiyama_ros.cli.options import (
     Overwrite,
     Seed,
     SetParameter,
-    Start,
     command_line,
     takes,
     to_write,
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class SimulateOptions:
+class _SimulateOptions:
     """Options of the command."""
 
     output: Annotated[
@@ -56,7 +55,7 @@ class SimulateOptions:
         float,
         typer.Option(min=0.0, max=1.0, help="Relative standard deviation of v_star and kappa_v over the drivers."),
     ] = 0.0
-    start: Start = "jam"
+    start: Annotated[str, typer.Option(help="Start in a jam, or on a ring with equal gaps: jam or equal.")] = "jam"
     law: Law = PAPERS
     parameter: SetParameter = None
     effect: AddEffect = None
@@ -66,8 +65,8 @@ class SimulateOptions:
     as_json: Json = False
 
 
-@takes(SimulateOptions)
-def simulate(options: SimulateOptions) -> None:
+@takes(_SimulateOptions)
+def simulate(options: _SimulateOptions) -> None:
     """Simulate drivers on a ring or an open road.
 
     The file has the positions that a camera would measure. An MCAP file also has the truth about each vehicle. The
@@ -115,7 +114,7 @@ def simulate(options: SimulateOptions) -> None:
         print_note(f"collision: vehicle {c.vehicle} into {c.leader} at {c.time_s:.1f} s; the run ends there")
 
 
-def _simulated(options: SimulateOptions) -> "Simulation":
+def _simulated(options: _SimulateOptions) -> "Simulation":
     """Simulate from rest."""
     from sugiyama_ros.simulation.experiment import Experiment, carry_out
 
@@ -124,7 +123,7 @@ def _simulated(options: SimulateOptions) -> "Simulation":
     return carry_out(experiment, _rows(options, options.vehicles))
 
 
-def _experiment(options: SimulateOptions, ring_m: float) -> "Experiment":
+def _experiment(options: _SimulateOptions, ring_m: float) -> "Experiment":
     """The setting that the options ask for."""
     from sugiyama_ros.simulation.experiment import Experiment
 
@@ -138,7 +137,7 @@ def _experiment(options: SimulateOptions, ring_m: float) -> "Experiment":
     )
 
 
-def _simulate_lanes(options: SimulateOptions, lanes: int) -> None:
+def _simulate_lanes(options: _SimulateOptions, lanes: int) -> None:
     """Simulate an open road with lanes, and write the tracks of who is in view."""
     from sugiyama_ros.formats.tracks_parquet import write_tracks
     from sugiyama_ros.simulation.lanes import alike_lanes
@@ -179,7 +178,7 @@ def _view(text: str | None) -> tuple[float, float]:
     return first, last
 
 
-def _rows(options: SimulateOptions, vehicles: int) -> "Array":
+def _rows(options: _SimulateOptions, vehicles: int) -> "Array":
     """Parameters (N, WIDTH) of N drivers: the paper's or a model file's, changed by --set and --effect."""
     import numpy as np
 

@@ -18,7 +18,7 @@ _CAPTION = 150
 
 
 @dataclass(frozen=True)
-class StudyOptions:
+class _StudyOptions:
     """Options of ``sugiyama study``."""
 
     name: Annotated[str, typer.Argument(help="Name of the study. Without a name, all studies are listed.")] = ""
@@ -33,8 +33,8 @@ class StudyOptions:
     as_json: Json = False
 
 
-@takes(StudyOptions)
-def study(options: StudyOptions) -> None:
+@takes(_StudyOptions)
+def study(options: _StudyOptions) -> None:
     """Answer a question of the paper again.
 
     Some studies simulate drivers, others use measured drivers.

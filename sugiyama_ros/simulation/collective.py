@@ -57,7 +57,7 @@ def collective(
         largest_speed=float(np.mean(np.nanmax(known, axis=1))),
         wave_speed=wave_speed(speed, headway_m, leader, period_s),
         queue_vehicles=float(np.mean((known < queue_speed).sum(axis=1))),
-        period_s=wave_period(speed, period_s),
+        period_s=_wave_period(speed, period_s),
     )
 
 
@@ -118,7 +118,7 @@ def wave_speed_error(speed: Array, headway_m: Array, leader: Ints, period_s: flo
     return float(np.sqrt((count - 1) * np.var(left_out)))
 
 
-def wave_period(speed: Array, period_s: float) -> float:
+def _wave_period(speed: Array, period_s: float) -> float:
     """Estimate the time after which speeds repeat.
 
     The time is the first high maximum of the mean autocorrelation of speed after the autocorrelation was negative.

@@ -15,7 +15,7 @@ from sugiyama_ros.trajectories.tracks import Tracks
 
 #: Duration [s] of a simulated run, and vehicles on a lane.
 DURATION_S, VEHICLES = 120.0, 12
-CAR, TRUCK = "car", "truck"
+_CAR, _TRUCK = "car", "truck"
 _LANES, _TRUCK_EVERY, _TRUCK_M = 2, 4, 12.0
 # Desired speed [m/s] and risk premium [s] of a truck.
 _TRUCK_V_STAR, _TRUCK_KAPPA_V = 9.0, 0.3
@@ -23,10 +23,10 @@ _TRUCK_V_STAR, _TRUCK_KAPPA_V = 9.0, 0.3
 _SURE = 1.96
 
 
-def drivers_of(vehicle_class: str) -> Array:
+def _drivers_of(vehicle_class: str) -> Array:
     """Return the parameters (P,) that all drivers of a class have."""
     row: Array = defaults(1)[0]
-    if vehicle_class == TRUCK:
+    if vehicle_class == _TRUCK:
         row[[V_STAR, KAPPA_V]] = _TRUCK_V_STAR, _TRUCK_KAPPA_V
     return row
 
@@ -35,9 +35,9 @@ def two_lanes(rng: np.random.Generator) -> Tracks:
     """Simulate two lanes with trucks, which start out of a jam."""
     lanes = []
     for first in range(_LANES):
-        kinds = [TRUCK if (k + first) % _TRUCK_EVERY == 0 else CAR for k in range(VEHICLES)]
-        length = np.array([_TRUCK_M if kind == TRUCK else LENGTH_M for kind in kinds])
-        lanes.append(Lane(np.stack([drivers_of(kind) for kind in kinds]), length, kinds))
+        kinds = [_TRUCK if (k + first) % _TRUCK_EVERY == 0 else _CAR for k in range(VEHICLES)]
+        length = np.array([_TRUCK_M if kind == _TRUCK else LENGTH_M for kind in kinds])
+        lanes.append(Lane(np.stack([_drivers_of(kind) for kind in kinds]), length, kinds))
     return simulate_lanes(lanes, DURATION_S, rng)
 
 
@@ -54,13 +54,13 @@ def _answer(asked: Asked) -> Answer:
         found += calibrate_tracks(tracks, ESTIMATED, profiled=True, work=asked.work).records()
     rows: list[Row] = []
     held: dict[tuple[str, str], Array] = {}
-    for kind in (CAR, TRUCK):
+    for kind in (_CAR, _TRUCK):
         own = [record for record in found if record["class"] == kind]
         for name in ESTIMATED:
             known = [record for record in own if record[f"{name}_identified"]]
             columns = (name, f"{name}_std", f"{name}_low", f"{name}_high")
             value, std, low, high = (np.array([record[column] for record in known]) for column in columns)
-            truth = float(drivers_of(kind)[index(name)])
+            truth = float(_drivers_of(kind)[index(name)])
             held[kind, name] = value
             rows.append(
                 {
@@ -79,9 +79,9 @@ def _answer(asked: Asked) -> Answer:
 
     def draw(figure: Any) -> None:
         for axes, name in zip(figure.subplots(1, len(ESTIMATED)), ESTIMATED, strict=True):
-            for kind, colour in ((CAR, "C0"), (TRUCK, "C1")):
+            for kind, colour in ((_CAR, "C0"), (_TRUCK, "C1")):
                 axes.hist(held[kind, name], bins=20, alpha=0.6, label=kind, color=colour)
-                axes.axvline(drivers_of(kind)[index(name)], color=colour)
+                axes.axvline(_drivers_of(kind)[index(name)], color=colour)
             axes.set(xlabel=name)
         axes.legend()
 

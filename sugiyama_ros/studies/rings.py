@@ -20,7 +20,7 @@ from sugiyama_ros.studies.study import Answer, Asked
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: The ring and the cars of the experiment, the duration of a run, and its last part, which is evaluated; SI units.
-RING_M, CARS, LENGTH_M, DURATION_S, LAST_S = 230.0, 22, 4.33, 500.0, 150.0
+RING_M, CARS, LENGTH_M, _DURATION_S, _LAST_S = 230.0, 22, 4.33, 500.0, 150.0
 #: Gap [m] between cars that start out of a jam.
 JAM_GAP_M = 2.0
 #: Factors of sigma_a in simulations with estimated drivers: in the paper (section 6), and with only a few collisions.
@@ -47,13 +47,13 @@ class Ring:
     ring_m: float = RING_M
     length_m: float | Array = LENGTH_M
     period_s: float = 1.0 / 3.0
-    duration_s: float = DURATION_S
+    duration_s: float = _DURATION_S
     queue_speed: float = QUEUE_SPEED
     jam_gap_m: float = JAM_GAP_M
 
 
 @dataclass(frozen=True)
-class Outcome:
+class _Outcome:
     """What happens in the last part of a run.
 
     road: collective measures of all vehicles; wave: whether there is a wave, and no collision; collided: whether cars
@@ -94,17 +94,17 @@ def jams(spread: Mapping[int, float], runs: int, seed: int, duration_s: float) -
         raise InputError(f"study: cars collide in all simulated runs ({runs}); give more --runs, or another --seed")
 
 
-def outcome(ring: Ring) -> Outcome:
+def outcome(ring: Ring) -> _Outcome:
     """Simulate one ring and evaluate the last part of the run."""
     s = run(ring)
-    last = max(2, round(LAST_S / ring.period_s))
+    last = max(2, round(_LAST_S / ring.period_s))
     speed, position = s.speed[-last:], s.position_m[-last:]
     leader = np.tile(np.roll(np.arange(len(ring.drivers)), -1), (len(speed), 1))
     headway = np.mod(np.roll(position, -1, axis=1) - position, ring.ring_m)
     road = collective(speed, headway, leader, ring.period_s, ring.queue_speed)
     wave = road.least_speed < _SLOW * road.largest_speed
     flow = 3600.0 * len(ring.drivers) / ring.ring_m * road.mean_speed
-    return Outcome(road, wave and not s.collisions, bool(s.collisions), flow)
+    return _Outcome(road, wave and not s.collisions, bool(s.collisions), flow)
 
 
 def estimated(asked: Asked, factor: float = FACTOR, full_noise_at: float = 0.0) -> Array:
@@ -126,7 +126,7 @@ def ring_of(measured: Trajectories) -> partial[Ring]:
     return partial(Ring, ring_m=measured.road.circumference_m or RING_M, length_m=measured.length_m)
 
 
-def summed_up(found: Sequence[Outcome]) -> dict[str, float]:
+def summed_up(found: Sequence[_Outcome]) -> dict[str, float]:
     """Count runs with a wave and with a collision, and average the runs without a collision."""
     complete = [o for o in found if not o.collided]
 

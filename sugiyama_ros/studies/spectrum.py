@@ -16,7 +16,7 @@ _STEP, _DURATION_S, _FREE_RING_M = 1e-4, 250.0, 460.0
 _PLACES = [k for k in range(COUNT) if k != RATIONALITY]
 
 
-def eigenvalues(trajectories: Trajectories) -> Array:
+def _eigenvalues(trajectories: Trajectories) -> Array:
     """Find the eigenvalues of the Hessian of the log-likelihood at every driver's fit.
 
     Returns (N, 11), eigenvalues in ascending order; the parameters are logarithms.
@@ -44,7 +44,7 @@ def _answer(asked: Asked) -> Answer:
     }
     if asked.trajectories is not None:
         settings["measured"] = asked.trajectories
-    spectra = {name: eigenvalues(t) for name, t in settings.items()}
+    spectra = {name: _eigenvalues(t) for name, t in settings.items()}
     rows = tuple(
         {
             "data": name,
