@@ -98,7 +98,7 @@ def send(
     return [there.submit(function, sent, item) for item in items]
 
 
-def in_turn(
+def ordered_map(
     function: Callable[[_Item], _Result],
     items: Iterable[Any],
     work: Executor | None,
@@ -132,7 +132,7 @@ def _each(function: Callable[[_Item], _Result], items: Iterable[_Item]) -> list[
     return [function(item) for item in items]
 
 
-def at_once(
+def parallel_map(
     function: Callable[[_Item], _Result], items: Sequence[_Item], what: str, on_progress: OnStage
 ) -> list[_Result]:
     """Call a function for several items at the same time.

@@ -41,7 +41,7 @@ from sugiyama_ros.fit.stretched import evenness_on, fastest_on, followers, follo
 from sugiyama_ros.progress import OnProgress
 from sugiyama_ros.trajectories.time_base import on_time_base
 from sugiyama_ros.trajectories.tracks import Tracks
-from sugiyama_ros.workers import in_turn
+from sugiyama_ros.workers import ordered_map
 
 
 def calibrate_tracks(
@@ -137,13 +137,13 @@ def _passes(
     start[SIGMA_A] = START_SIGMA_A
     quick = replace(search, start=start, options=SearchOptions(with_errors=False))
     ahead, first = DriversAhead(tracks, search.start), []
-    for fit in in_turn(carry_out, (_job(quick, k, own, ahead) for k, own in enumerate(drivers)), work):
+    for fit in ordered_map(carry_out, (_job(quick, k, own, ahead) for k, own in enumerate(drivers)), work):
         first.append(fit)
         on_progress(len(first), total)
     ahead, second = ahead.of(drivers, first, names), []
     searches = (replace(search, start=fit.parameters) for fit in first)
     jobs = (_job(one, k, own, ahead) for k, (one, own) in enumerate(zip(searches, drivers, strict=True)))
-    for found in in_turn(_with_nis, jobs, work):
+    for found in ordered_map(_with_nis, jobs, work):
         second.append(found)
         on_progress(total // 2 + len(second), total)
     return [fit for fit, _ in second], [nis for _, nis in second]

@@ -29,7 +29,7 @@ from sugiyama_ros.fit.scoring import (
 from sugiyama_ros.fit.smooth_positions import ESTIMATED, evenness, measured, with_short_periods
 from sugiyama_ros.fit.standard_errors import end_of_profile, is_determined, quadratic, stds
 from sugiyama_ros.trajectories.trajectories import Trajectories
-from sugiyama_ros.workers import in_turn
+from sugiyama_ros.workers import ordered_map
 
 # Steps of the difference quotients of the causal filter: as part of a parameter's std; shortest, longest and first step
 # of a logarithm.
@@ -337,7 +337,7 @@ def each_of(
 ) -> Iterator[Fit]:
     """Carry out the searches that ``maker`` makes, one for each driver."""
     left = (i for i, v in enumerate(maker.vehicles.tolist()) if v not in skip)
-    yield from in_turn(carry_out, left, work, partial(_Jobs, maker, options))
+    yield from ordered_map(carry_out, left, work, partial(_Jobs, maker, options))
 
 
 class JobMaker:

@@ -19,7 +19,7 @@ from sugiyama_ros.progress import OnStage
 from sugiyama_ros.simulation.behind import RecordedTraffic, drive_behind
 from sugiyama_ros.simulation.simulator import Clock, Simulator
 from sugiyama_ros.trajectories.trajectories import Trajectories
-from sugiyama_ros.workers import at_once
+from sugiyama_ros.workers import parallel_map
 
 # Time [s] over which the track of a vehicle without a leader is smoothed (Savitzky, Golay, Anal. Chem. 36 (1964) 1627).
 _SMOOTHED_S = 2.0
@@ -99,7 +99,7 @@ def resampled_fits(
         simulated = resample(data, fitted.model, states, rng).roughly
         return simulated, fit(simulated, fitted.model, work)
 
-    return at_once(one_run, rngs, "simulating the current model", on_progress)
+    return parallel_map(one_run, rngs, "simulating the current model", on_progress)
 
 
 def _led(t: Trajectories, states: Array) -> tuple[Array, Array]:

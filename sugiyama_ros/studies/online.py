@@ -23,7 +23,7 @@ _PLACES = [index(name) for name in ESTIMATED]
 _SPREAD = {SIGMA_NU: 0.08, SIGMA_A: 0.15, V_STAR: 0.08, KAPPA_V: 0.2}
 
 
-class _Followed(NamedTuple):
+class _FollowedDriver(NamedTuple):
     """What an estimator learns of one driver over T samples.
 
     parameters: (T, 4), the driver's parameters after each sample, in the order of ``ESTIMATED``; log_std: (T, 4), std
@@ -37,7 +37,7 @@ class _Followed(NamedTuple):
     changes: list[tuple[float, str]]
 
 
-def followed(job: tuple[Trajectories, int]) -> _Followed:
+def followed(job: tuple[Trajectories, int]) -> _FollowedDriver:
     """Run the filter of the estimator nodes on all samples of one driver."""
     trajectories, driver = job
     chain = chain_behind(trajectories, driver)
@@ -50,7 +50,7 @@ def followed(job: tuple[Trajectories, int]) -> _Followed:
         log_likelihood.append(estimate.log_likelihood if estimate.scored else np.nan)
         if online.change_of_style is not None:
             reported.append((k * trajectories.period_s, online.change_of_style[0]))
-    return _Followed(np.array(parameters), np.array(log_std), np.array(log_likelihood), reported)
+    return _FollowedDriver(np.array(parameters), np.array(log_std), np.array(log_likelihood), reported)
 
 
 def _answer(asked: Asked) -> Answer:

@@ -7,7 +7,7 @@ from multiprocessing import get_context
 import pytest
 
 from sugiyama_ros import workers
-from sugiyama_ros.workers import in_turn
+from sugiyama_ros.workers import ordered_map
 
 
 def test_only_some_of_many_items_are_under_way(monkeypatch):
@@ -20,7 +20,7 @@ def test_only_some_of_many_items_are_under_way(monkeypatch):
             yield number
 
     with ThreadPoolExecutor(2) as work:
-        for done, result in enumerate(in_turn(math.sqrt, items(), work)):
+        for done, result in enumerate(ordered_map(math.sqrt, items(), work)):
             assert result == math.sqrt(done)
             assert len(made) <= done + 8
     assert len(made) == 50
@@ -29,9 +29,9 @@ def test_only_some_of_many_items_are_under_way(monkeypatch):
 @pytest.mark.parametrize("items", [0, 1, 7, 1500])
 def test_results_come_in_the_order_of_the_items(items):
     expected = [math.sqrt(number) for number in range(items)]
-    assert list(in_turn(math.sqrt, range(items), None)) == expected
+    assert list(ordered_map(math.sqrt, range(items), None)) == expected
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as work:
-        assert list(in_turn(math.sqrt, range(items), work)) == expected
+        assert list(ordered_map(math.sqrt, range(items), work)) == expected
 
 
 def test_a_process_gets_more_at_a_time_where_there_are_many_items(monkeypatch):
@@ -48,7 +48,7 @@ def test_a_process_gets_more_at_a_time_where_there_are_many_items(monkeypatch):
             yield number
 
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as work:
-        for done, _ in enumerate(in_turn(math.sqrt, items(), work, unpacked)):
+        for done, _ in enumerate(ordered_map(math.sqrt, items(), work, unpacked)):
             # as many items as eight tasks of the smallest size, and what is made next
             assert len(made) <= done + 8 * 8 + 32
     assert (sizes[0], max(sizes)) == (8, 32)
@@ -57,7 +57,7 @@ def test_a_process_gets_more_at_a_time_where_there_are_many_items(monkeypatch):
 
 def test_what_goes_wrong_in_a_task_is_told():
     with ThreadPoolExecutor(1) as work, pytest.raises(TypeError):
-        list(in_turn(math.sqrt, ["a", None], work))
+        list(ordered_map(math.sqrt, ["a", None], work))
 
 
 def test_items_are_made_where_they_are_used():
@@ -65,4 +65,4 @@ def test_items_are_made_where_they_are_used():
         return (number * number for number in numbers)
 
     for work in (None, ThreadPoolExecutor(1)):
-        assert list(in_turn(math.sqrt, range(9), work, roots_of_squares)) == list(range(9))
+        assert list(ordered_map(math.sqrt, range(9), work, roots_of_squares)) == list(range(9))
