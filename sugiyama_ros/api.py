@@ -447,8 +447,8 @@ def report(run: str | Path, output: str | Path, diagnosis: Diagnosis | str | Pat
     >>> sg.report("three.mcap", "three.html").name
     'three.html'
     """
-    from sugiyama_ros.page.recording import against_truth
     from sugiyama_ros.page.report import write_report
+    from sugiyama_ros.page.truth import against_truth
 
     if isinstance(diagnosis, Diagnosis):
         document: dict[str, Any] | None = plain(document_of(diagnosis))

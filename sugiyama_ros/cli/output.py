@@ -18,7 +18,7 @@ from rich.table import Table
 from sugiyama_ros.results import TextTable, plain
 
 if TYPE_CHECKING:
-    from sugiyama_ros.page.recording import AgainstTruth
+    from sugiyama_ros.page.truth import AgainstTruth
     from sugiyama_ros.trajectories.tracks import Tracks
     from sugiyama_ros.trajectories.trajectories import Trajectories
 

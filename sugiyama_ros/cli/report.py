@@ -33,8 +33,9 @@ def report(
     simulated, estimates are compared with the truth.
     """
     from sugiyama_ros.page.diagnosis import read_diagnosis
-    from sugiyama_ros.page.recording import against_truth, read_recording
+    from sugiyama_ros.page.recording import read_recording
     from sugiyama_ros.page.report import write_report
+    from sugiyama_ros.page.truth import against_truth
 
     if not source.name:
         raise InputError(f"{source}: not a file; give a file that `sugiyama run` recorded")

@@ -181,7 +181,7 @@ def _source(options: RunOptions) -> "Path | FromSimulator":
 def _print_run(result: "RunResult", as_json: bool) -> None:
     """Print what the estimators know at the end of a run."""
     from sugiyama_ros.effects.registry import ROW
-    from sugiyama_ros.page.recording import against_truth
+    from sugiyama_ros.page.truth import against_truth
 
     try:
         against = against_truth(result.output)

@@ -21,7 +21,7 @@ from sugiyama_ros.driver.parameters import CONSTANTS, KAPPA_V, V_STAR, Parameter
 from sugiyama_ros.effects.discovered_force import COVARIATES
 from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.fit.sandwich import own_stds
-from sugiyama_ros.laws.registry import LAWS, name_of
+from sugiyama_ros.laws.registry import LAWS, PAPERS, name_of
 
 # Time between two samples of a picture [s], and largest number of points of one run in the document.
 _EVERY_S, _MOST = 0.6, 20_000
@@ -149,7 +149,7 @@ def document(d: Diagnosis) -> dict[str, Any]:
         "free_run": _drives(d),
         "about": about(),
         "data": {"source": around.source, "sha256": around.sha256},
-        "law": name_of(float(d.base.fit.model.rows[0, ROW.law])),
+        "law": _law(d),
         "vehicles": d.data.drivers,
         "drivers_left_out": d.data.left_out,
         "decision_period_s": around.period_s,
@@ -288,20 +288,30 @@ def _drivers(d: Diagnosis) -> list[dict[str, Any]]:
     before, after = d.base.forecasts, d.final.forecasts
     won = np.nansum(after.one_step - before.one_step, axis=1)
     ends = [_of_each(one.single.error[:, -1]) for one in (before, after)]
-    rows, stds = d.final.fit.model.rows, own_stds(d.final.fit)
+    rows, stds, law = d.final.fit.model.rows, own_stds(d.final.fit), _law(d)
+    own = (V_STAR, KAPPA_V) if law == PAPERS else range(len(ROW.entries))[ROW.law_places[law]]
     return [
         {
             **name.document(),
             "heldout_gain_nats": float(won[i]),
             "single_car_10s_before_m": ends[0][i],
             "single_car_10s_after_m": ends[1][i],
-            "v_star": float(rows[i, V_STAR]),
-            "v_star_std": stds[i].get("v_star"),
-            "kappa_v": float(rows[i, KAPPA_V]),
-            "kappa_v_std": stds[i].get("kappa_v"),
+            **{
+                key: value
+                for k in own
+                for key, value in (
+                    (ROW.entries[k], float(rows[i, k])),
+                    (f"{ROW.entries[k]}_std", stds[i].get(ROW.entries[k])),
+                )
+            },
         }
         for i, name in enumerate(d.data.vicinity.names)
     ]
+
+
+def _law(d: Diagnosis) -> str:
+    """The law by which the drivers of the base model drive."""
+    return name_of(float(d.base.fit.model.rows[0, ROW.law]))
 
 
 def _of_each(error: Array) -> list[float]:

@@ -5,7 +5,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from sugiyama_ros.effects.registry import EFFECTS
+from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.results import figure
 
 Document = Mapping[str, Any]
@@ -122,6 +122,25 @@ def meaning_of(parameter: Document, name: str) -> str:
     return re.sub("|".join(map(re.escape, _SYMBOLS)), lambda found: _SYMBOLS[found[0]], words)
 
 
+def parameter_title(name: str, *, with_unit: bool = False) -> str:
+    """Name of a driver's parameter for people, with its symbol: desired speed v*; with its unit for an axis."""
+    if name not in ROW.entries:
+        return spaced(name)
+    declared = ROW.declared[ROW.entries.index(name)]
+    words = f"{re.split('[;,]', declared.description)[0]} {declared.symbol}"
+    return f"{words} [{unit_of(name)}]" if with_unit and unit_of(name) else words
+
+
+def unit_of(name: str) -> str:
+    """Unit of a driver's parameter for people; empty for a number."""
+    unit = ROW.declared[ROW.entries.index(name)].unit if name in ROW.entries else "1"
+    return "" if unit == "1" else _superscript(unit)
+
+
+def _superscript(unit: str) -> str:
+    return unit.replace("^2", "²").replace("^3", "³")
+
+
 def quantity(value: float, unit: str = "", std: float | None = None, digits: int = 3) -> str:
     """A value with its standard deviation and its unit; without a standard deviation, with so many digits."""
     if std is None or not (math.isfinite(std) and std > 0.0):
@@ -131,7 +150,7 @@ def quantity(value: float, unit: str = "", std: float | None = None, digits: int
     else:
         places = min(max(-math.floor(math.log10(std)), 0), 5)
         text = f"{value:.{places}f} ± {std:.{places}f}"
-    return f"{text} {unit.replace('^2', '²').replace('^3', '³')}".strip()
+    return f"{text} {_superscript(unit)}".strip()
 
 
 def nats(value: float, se: float) -> str:

@@ -308,7 +308,7 @@ def how_sure(d: Document) -> str:
     """How certain the names are, in one sentence."""
     effects = d["verdict"]["effects"]
     if not effects:
-        return f"{checks_hold(d)}; the model is biased in {_biased(d, 'before')}."
+        return f"{checks_hold(d)}; the model is biased in {biased(d, 'before')}."
     if d["verdict"].get("asked"):
         told = certainty(effects[0]) + "; other" if len(effects) == 1 else "Other"
         return f"{told} effects were not fitted, so nothing is known of what explains the data as well."
@@ -444,11 +444,11 @@ def sentences(d: Document) -> list[str]:
     lines += [f"Fails: {one}." for one in reasons(d)]
     lines.append(f"{checks_hold(d)}." if d.get("checks") else "")
     ahead = [one for one in d.get("checks", ()) if one["name"].startswith("gain_of_") and float(one["value"]) > 0.0]
-    lines += [f"{_capital(check_in_words(d, one))}: it may be ahead by chance." for one in ahead if not one["failed"]]
-    lines += [f"{_capital(one)}." for one in worse(d)]
+    lines += [f"{capital(check_in_words(d, one))}: it may be ahead by chance." for one in ahead if not one["failed"]]
+    lines += [f"{capital(one)}." for one in worse(d)]
     for when, of in (("before", "The base model"), ("after", "The model with the additions")):
         if when in d.get("where", {}) and (effects or when == "before"):
-            lines.append(f"{of} is biased in {_biased(d, when)}.")
+            lines.append(f"{of} is biased in {biased(d, when)}.")
     return [line for line in [*lines, *_data(d)] if line]
 
 
@@ -467,11 +467,11 @@ def _added(d: Document, n: Document, told: str) -> list[str]:
         advice = f" To tell them apart, {'; '.join(n['advice'])}." if n.get("advice") else ""
         lines.append(f"It cannot be told apart from {others}.{advice}")
     if (near := closest(d, n)) and near not in told:
-        lines.append(f"{_capital(near)}.")
+        lines.append(f"{capital(near)}.")
     return [lines[0], *(f"  {line}" for line in lines[1:])]
 
 
-def _biased(d: Document, when: str) -> str:
+def biased(d: Document, when: str) -> str:
     """In how many bins a model is biased, and where most of all."""
     where = d.get("where", {}).get(when, {"flagged": [], "bins": []})
     worst = "; ".join(map(bin_in_words, where["flagged"][:_WORST]))
@@ -585,7 +585,8 @@ def beside_the_verdict(d: Document | None, best: str, added: Collection[str], le
 # Lists
 
 
-def _capital(text: str) -> str:
+def capital(text: str) -> str:
+    """A text that begins with a capital letter."""
     return text[:1].upper() + text[1:]
 
 

@@ -110,11 +110,14 @@ def test_the_array_says_what_the_topics_of_each_vehicle_say(ring_csv: Path, tmp_
         parameters = [m.message for m in bag.messages({f"/vehicle_0{v}/parameters" for v in range(4)})]
     for message in parameters:
         assert_same_parameters(by_stamp[message.header.stamp.sec, message.header.stamp.nanosec], message)
-    one, all_ = read_recording(alone).series, read_recording(together).series
-    for name, values in one.items():
+    one, all_ = read_recording(alone), read_recording(together)
+    for name, values in one.series.items():
         # the array has the parameters with every sample, the topics have them once a second
-        told = slice(None) if not name.startswith(("v_star", "kappa_v")) else values != np.roll(values, 1, axis=0)
-        np.testing.assert_allclose(all_[name][told], values[told], rtol=1e-6)
+        is_parameter = name.removesuffix("_std") in one.identified
+        told = values != np.roll(values, 1, axis=0) if is_parameter else slice(None)
+        np.testing.assert_allclose(all_.series[name][told], values[told], rtol=1e-6)
+    for name, identified in one.identified.items():
+        np.testing.assert_array_equal(all_.identified[name], identified)
 
 
 def assert_same_parameters(array: DriverArray, message: DriverParameters) -> None:

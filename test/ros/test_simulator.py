@@ -18,7 +18,7 @@ from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.plan import FromSimulator
 from sugiyama_ros.nodes.run import run
 from sugiyama_ros.nodes.simulator import SimulatorNode
-from sugiyama_ros.page.recording import against_truth
+from sugiyama_ros.page.truth import against_truth
 from sugiyama_ros.simulation.experiment import Experiment
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(90)]

@@ -101,7 +101,7 @@ def test_no_page_asks_for_anything_from_elsewhere(page):
 
 def test_the_card_says_what_how_much_how_sure_and_what_to_do(recorded):
     text = report(read_recording(recorded), {**DIAGNOSIS, "verdict": {**DIAGNOSIS["verdict"], "effects": [PATCH]}})
-    card = text.split("<nav>")[0]
+    card = text.split("<nav>")[0].replace("\u00a0", " ")
     for words in (
         "What was missing is explained",
         "Slower stretch of road (slow_patch). With it, no check fails.",
@@ -121,7 +121,7 @@ def test_the_card_says_what_how_much_how_sure_and_what_to_do(recorded):
 def test_failed_checks_are_named_on_the_card_and_all_checks_stand_below(recorded):
     failed = fails("bias_over_place", 6.3, 1.1)
     d = document("not_explained", [PATCH], [failed])
-    card, below = report(read_recording(recorded), d).split("<nav>", 1)
+    card, below = report(read_recording(recorded), d).replace("\u00a0", " ").split("<nav>", 1)
     assert "Not explained" in card
     assert "2 of 3" in card
     assert "fails: bias over the place" in card
@@ -203,7 +203,7 @@ def test_what_the_data_would_have_shown_is_said_with_its_direction():
     }
     sizes = [("reaction_delay", "delay", 0.03), ("limited_braking", "limit", 3.4)]
     smallest = [dict(zip(("name", "parameter", "value"), one, strict=True)) for one in sizes]
-    text = detectable({**DIAGNOSIS, "smallest_detectable": smallest, "about": about})
+    text = detectable({**DIAGNOSIS, "smallest_detectable": smallest, "about": about}).replace("\u00a0", " ")
     assert "delay: 0.03 s or more" in text
     assert "hardest braking: 3.4 m/s² or less" in text
 
@@ -383,7 +383,7 @@ def choose_drivers(shown, recorded):
     shown.keyboard.press("ArrowDown")
     follows(2)
     clicks = {
-        "The drivers, as fitted": (4, 14.0, 0.2),
+        "The drivers, as fitted, ± one deviation": (4, 14.0, 0.2),
         "Free runs of one car, 10 s: each driver": (5, "5", 1.5),
     }
     for title, (driver, x, y) in clicks.items():
@@ -410,7 +410,7 @@ def hover(shown):
         "Free runs of all cars together": ((6.0, 1.8), "base model"),
         "Free runs of one car, 10 s: each driver": (("3", 1.5), "2.00 m"),
         "Bias over speed and gap, before": ((23.0, 10.0), "-0.40 std"),
-        "The drivers, as fitted": ((13.0, 0.2), "13.00 m/s"),
+        "The drivers, as fitted, ± one deviation": ((13.0, 0.2), "13.000 m/s"),
     }
     for title, (point, says) in points.items():
         x, y = shown.evaluate(POINT, [title, *point])

@@ -178,7 +178,10 @@ def candidates(diagnosis: Mapping[str, Any]) -> UIElement:
     effects = diagnosis["verdict"]["effects"]
     added = {n["name"] for n in effects}
     together = added | {other for n in effects for other in n["indistinguishable"]}
-    best = [c for c in diagnosis["candidates"] if c["heldout_gain_nats"] is not None]
+    # the first step may have refined what it added out of others, which alone were fitted as candidates
+    first = {n["name"]: n for n in effects if n.get("step") == 0}
+    every = (first.get(c["name"], c) if c["heldout_gain_nats"] is None else c for c in diagnosis["candidates"])
+    best = sorted((c for c in every if c["heldout_gain_nats"] is not None), key=lambda c: -c["heldout_gain_nats"])
     kept = [c for k, c in enumerate(best) if k < _MOST_SHOWN or c["name"] in together][::-1]
     names = [_label(diagnosis, c, added) for c in kept]
     gain, se = (np.array([float(c[key] or 0.0) for c in kept]) for key in ("heldout_gain_nats", "heldout_gain_se"))
