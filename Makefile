@@ -8,7 +8,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .NOTPARALLEL:
-.PHONY: help demo test journeys lint docs bench fuzz soak pictures
+.PHONY: help demo test lint docs bench fuzz soak pictures
 
 # What another environment that is active in the shell would mix into ours: Python's, and ROS's.
 unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV PIP_USER PIP_TARGET PIP_PREFIX
@@ -21,7 +21,6 @@ help:
 	@cat <<- END
 	make demo   set up, then find what the model of a simulated experiment misses
 	make test   set up, then run the tests
-	make journeys  set up, then run what users do that takes minutes; `make test` runs the shorter ones
 	make lint   set up, then check style and types
 	make docs   set up, then build the documentation: docs/_build/html/index.html
 	make bench  set up, then measure the speed; it takes some minutes
@@ -34,20 +33,11 @@ help:
 demo: $(DONE)/compiled
 	@.venv/bin/sugiyama demo
 
-# Tests of nodes are about time, so each of them has the machine to itself; the others run two at a time. Neither
-# waits for the compiler: what has been edited is compiled before.
-TIMED := test/ros test/system/test_main_job.py test/system/test_speed.py
-
+# No test waits for the compiler: what has been edited is compiled before. Journeys, which take longest, come before unit
+# tests, so that both processes end at about the same time.
 test: $(DONE)/compiled $(DONE)/tools
-	@failed=0
-	.venv/bin/python -m sugiyama_ros.compile
-	.venv/bin/python -m pytest -n 2 --dist loadfile test $(TIMED:%=--ignore=%) || failed=1
-	.venv/bin/python -m pytest $(TIMED) || failed=1
-	exit $$failed
-
-journeys: $(DONE)/compiled $(DONE)/tools
 	@.venv/bin/python -m sugiyama_ros.compile
-	.venv/bin/python -m pytest -n 2 --dist load -m slow test/journeys
+	.venv/bin/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder test
 
 bench: $(DONE)/compiled $(DONE)/tools
 	@.venv/bin/python -m benchmarks.speed

@@ -9,8 +9,7 @@ import pytest
 import yaml
 
 import sugiyama_ros as sg
-from journeys.forks import Forks
-from journeys.terminal import environment, follow
+from journeys.terminal import follow
 from sugiyama_ros.errors import InputError
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
@@ -25,10 +24,8 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def run(folder):
-    forks = Forks(folder, [], environment(folder))
-    yield partial(forks.run_text, folder)
-    forks.close()
+def run(folder, forks):
+    return partial(forks.run_text, folder)
 
 
 @pytest.fixture(scope="module")
@@ -150,27 +147,8 @@ def test_a_model_with_cautions_says_so_wherever_it_drives(run, added, folder):
     assert "cautions: give a list" in run("sugiyama run ring.csv --ring 56 --model wrong.yaml -o x.mcap").err
 
 
-def test_no_command_writes_to_a_file_that_it_was_given(run, added, folder):
-    run("sugiyama run ring.csv --ring 56 -o seen.mcap")
-    before = (folder / "found.json").read_bytes()
-    (folder / "ring.json").write_text("{}")
-    said = run("sugiyama diagnose ring.csv --ring 56 -o model.yaml --save ring.json")
-    assert said.code == 2
-    assert "give another name" in said.err or "exists already" in said.err
-    assert (folder / "found.json").read_bytes() == before
-    assert (folder / "ring.json").read_text() == "{}"
-
-
-def test_a_run_prints_the_mean_over_drivers(run, added):
-    said = run("sugiyama run ring.csv --ring 56 -o mean.mcap")
-    lines = [line for line in said.out.splitlines() if re.match(r"│\s+(\d|mean)", line)]
-    rows = [re.split(r"\s*│\s*", line.strip("│ ")) for line in lines]
-    (mean,) = [row for row in rows if row[0] == "mean of 5"]
-    errors = [float(row[3]) for row in rows if row[0] != "mean of 5"]
-    assert float(mean[-2]) == pytest.approx(np.mean(errors), abs=1e-3)
-
-
-def test_python_adds_writes_and_reports_as_the_command_line(folder, added):
+def test_python_adds_writes_and_reports_as_the_command_line(run, folder, added):
+    assert run("sugiyama run ring.csv --ring 56 -o seen.mcap").code == 0
     recording = sg.read(folder / "ring.csv", ring_m=56.0)
     with pytest.raises(InputError, match="telepathy"):
         sg.diagnose(recording, add=["telepathy"])

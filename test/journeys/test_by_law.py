@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 import yaml
 
-from journeys.forks import Forks
-from journeys.terminal import environment
 from sugiyama_ros.laws.registry import LAWS
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
@@ -17,14 +15,12 @@ TRUTH = {f"idm.{p.name}": p.default for p in LAWS["idm"].parameters}
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
+def run(tmp_path_factory, forks):
     folder = tmp_path_factory.mktemp("by_law")
-    forks = Forks(folder, [], environment(folder))
     ask = partial(forks.run_text, folder)
     made = ask("sugiyama simulate --law idm --vehicles 8 --ring 135 --duration 200 --seed 11 -o ring.csv")
     assert made.code == 0, made.err
-    yield folder, ask
-    forks.close()
+    return folder, ask
 
 
 def test_the_parameters_of_the_law_are_calibrated(run):

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 import sugiyama_ros as sg
-from journeys.forks import Forks
-from journeys.terminal import environment
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
 
@@ -20,10 +18,8 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def run(folder):
-    forks = Forks(folder, [], environment(folder))
-    yield partial(forks.run_text, folder)
-    forks.close()
+def run(folder, forks):
+    return partial(forks.run_text, folder)
 
 
 def rows(text):

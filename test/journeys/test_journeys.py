@@ -7,7 +7,6 @@ the live page in test/system/test_page.py, the measured experiment in test/syste
 import json
 import re
 import socket
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,6 @@ import pytest
 import sugiyama_ros as sg
 from journeys import recordings
 from journeys.forks import Forks
-from journeys.terminal import environment
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
 #: Desired speed [m/s] and risk premium [s] of the simulated drivers: the paper's, Eq. SimulatedModelParameters.
@@ -45,14 +43,6 @@ class Here:
         return json.loads(self.says(f"{command} --json"))
 
 
-@pytest.fixture(scope="module")
-def forks(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Forks]:
-    folder = tmp_path_factory.mktemp("journeys")
-    forks = Forks(folder, [], environment(folder))
-    yield forks
-    forks.close()
-
-
 @pytest.fixture
 def here(tmp_path: Path, forks: Forks) -> Here:
     return Here(tmp_path, forks)
@@ -78,7 +68,6 @@ def mean_error(run: "dict[str, Any]") -> float:
     return float(np.mean([driver["one_step_rmse_m"] for driver in run["drivers"]]))
 
 
-@pytest.mark.slow
 def test_a_csv_of_a_ring_to_an_added_effect_and_back(here: Here) -> None:
     """Cars drive over a hill that the model lacks. It is found, added, and helps on another day's recording."""
     for name, seed in (("monday.csv", 3), ("tuesday.csv", 4)):
@@ -183,7 +172,6 @@ def test_a_data_frame_to_a_comparison_and_a_model_file(tmp_path: Path) -> None:
     assert compared.loc["constant_speed", "free_run_10s_m"] > 2.0 * compared.loc["base", "free_run_10s_m"]
 
 
-@pytest.mark.slow
 def test_several_files_are_several_recordings(here: Here) -> None:
     for name, seed in (("a.mcap", 1), ("b.mcap", 2)):
         here.says(f"simulate --vehicles 3 --ring 40 --duration 60 --seed {seed} -o {name}")
@@ -219,17 +207,3 @@ def test_a_live_page_says_where_its_recording_is_if_there_is_one(here: Here, for
     is_there = (here / "sugiyama-live.mcap").exists()
     assert ("all topics are in sugiyama-live.mcap" in said.err) == is_there
     assert ("nothing was recorded" in said.err) != is_there
-
-
-@pytest.mark.slow
-def test_a_cluster_finds_the_same_numbers(here: Here) -> None:
-    distributed = pytest.importorskip("distributed", reason="Dask is not installed")
-    recordings.ring_csv(here / "ring.csv")
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0") as cluster:
-        there = here.tells(f"calibrate ring.csv --ring 45 --scheduler {cluster.scheduler_address}")
-        named = here.tells(f"diagnose ring.csv --ring 45 --scheduler {cluster.scheduler_address}")
-    assert there["drivers"] == here.tells("calibrate ring.csv --ring 45")["drivers"]
-    alone = here.tells("diagnose ring.csv --ring 45")
-    assert named["verdict"]["told"] == alone["verdict"]["told"]
-    assert named["errors"] == alone["errors"]
-    assert alone["verdict"]["effects"] == []  # nothing is hidden in this recording

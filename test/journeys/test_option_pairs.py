@@ -1,4 +1,6 @@
-"""All pairs of valid options: each command ends well. Options that contradict each other are refused in one line.
+"""All pairs of valid options, or all options of what takes long: each command ends well.
+
+Options that contradict each other are refused in one line.
 
 The options come from the declarations of the commands. A new switch or number is tried as it is; a new option that
 takes a text needs a value in ``VALUES``. A covering array has each pair of values at least once, but for those in
@@ -21,7 +23,7 @@ from typer.main import get_command
 
 from journeys import recordings
 from journeys.forks import Forks
-from journeys.terminal import COMMANDS, Said, environment
+from journeys.terminal import COMMANDS, Said
 from sugiyama_ros.cli.app import app
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
@@ -103,8 +105,8 @@ MAP = "vehicle: track\ntime_s: {column: frame, factor: 0.04}\ns_m: {column: x_ft
 BRIDGE = "type: nav_msgs/msg/Odometry\nx: pose.pose.position.x\ny: pose.pose.position.y\n"
 #: Options that are never left out: without them, a demo (test/system/test_demo.py) and a study take long.
 GIVEN = {"demo --data", "study --runs"}
-#: Commands whose cases take seconds each: `make journeys` runs them.
-LONG = {"demo", "run", "diagnose", "study", "compare", "report", "live"}
+#: Commands whose cases take seconds each: each value is tried once, instead of each pair of values.
+LONG = {"demo", "run", "calibrate", "diagnose", "study", "compare", "report", "live"}
 #: Every case is refused: nothing is downloaded in tests.
 REFUSED = {"fetch"}
 _CAUSAL = ("no --formulation", "--formulation causal")
@@ -229,10 +231,9 @@ def url() -> Iterator[str]:
 
 
 @pytest.fixture(scope="module")
-def inputs(tmp_path_factory: pytest.TempPathFactory, scheduler: str, url: str) -> Iterator[Inputs]:
+def inputs(tmp_path_factory: pytest.TempPathFactory, forks: Forks, scheduler: str, url: str) -> Inputs:
     """One file of each kind, written by the commands themselves where they can."""
-    around = tmp_path_factory.mktemp("pairs")
-    folder = around / "inputs"
+    folder = tmp_path_factory.mktemp("pairs") / "inputs"
     folder.mkdir()
     recordings.ring_csv(folder / "ring.csv", vehicles=3, ring_m=40.0, duration_s=40.0)
     recordings.own_columns(folder / "own.csv")
@@ -241,9 +242,6 @@ def inputs(tmp_path_factory: pytest.TempPathFactory, scheduler: str, url: str) -
     recordings.centre_line(folder / "line.csv")
     (folder / "map.yaml").write_text(MAP)
     (folder / "bridge.yaml").write_text(BRIDGE)
-    ring = ["ring.csv", "--ring", "40"]
-    loading = [["calibrate", *ring], ["compare", *ring], ["diagnose", *ring]]
-    forks = Forks(folder, [*loading, ["simulate", "--duration", "5", "-o", "loading.csv"]], environment(around))
     small = ["--vehicles", "3", "--duration", "40"]
     for command in (
         ["convert", "ring.csv", "ring.mcap", "--ring", "40"],
@@ -259,8 +257,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory, scheduler: str, url: str) -
     (folder / "cut.mcap").write_bytes((folder / "run.mcap").read_bytes()[:100_000])
     for name in ("old.mcap", "old.yaml", "old.pdf", "old.html", "old.json"):
         (folder / name).write_text("old")
-    yield Inputs(folder, forks, {"SCHEDULER": scheduler, "URL": url})
-    forks.close()
+    return Inputs(folder, forks, {"SCHEDULER": scheduler, "URL": url})
 
 
 def name_of(parameter: Any) -> str:
@@ -327,9 +324,7 @@ def holds(condition: str, names: Sequence[str], case: Sequence[str]) -> bool:
     return any(value == condition or value.startswith(condition + " ") for value in case)
 
 
-@pytest.mark.parametrize(
-    "command", [pytest.param(one, marks=[pytest.mark.slow] if one in LONG else []) for one in COMMANDS]
-)
+@pytest.mark.parametrize("command", COMMANDS)
 def test_all_pairs_of_options(command: str, inputs: Inputs, tmp_path: Path) -> None:
     declared = [p for p in get_command(app).commands[command].params if p.name != "help"]  # type: ignore[attr-defined]
     names = [name_of(parameter) for parameter in declared]
@@ -339,7 +334,8 @@ def test_all_pairs_of_options(command: str, inputs: Inputs, tmp_path: Path) -> N
     def is_allowed(case: Sequence[str]) -> bool:
         return not any(all(holds(one, names, case) for one in conditions) for conditions in contradictions)
 
-    cases = AllPairs(values, filter_func=is_allowed) if len(values) > 1 else [(value,) for value in values[0]]
+    together = 1 if command in LONG else 2
+    cases = AllPairs(values, filter_func=is_allowed, n=together) if len(values) > 1 else [(v,) for v in values[0]]
     wrong = []
     for case in map(tuple, cases):
         said = run(inputs, tmp_path / "case", command, case)

@@ -18,7 +18,7 @@ from typer.main import get_command
 from journeys import recordings
 from journeys.blocks import PYTHON, ROOT, SHELL, blocks, has_shape, pages
 from journeys.forks import Forks
-from journeys.terminal import COMMANDS, Terminal, environment, follow
+from journeys.terminal import COMMANDS, Said, Terminal, follow
 from sugiyama_ros.cli.app import app
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
@@ -44,17 +44,33 @@ GIVEN: Mapping[str, Mapping[str, Callable[[Path], object]]] = {
 }
 #: Pages about parts of one's own: they share one package, which is compiled once (test_own_parts.py).
 OWN_PARTS = tuple(f"docs/howto/{name}.md" for name in ("effect", "law", "format", "study"))
-#: Pages that compute for minutes: `make journeys` runs them.
-LONG = ("examples/tutorial.md",)
+#: A command that needs no shell.
+_PLAIN = re.compile(r"(?:\.venv/bin/)?(sugiyama [^|&;$`<*?\\]+)")
 
 
 def name_of(page: Path) -> str:
     return str(page.relative_to(ROOT))
 
 
-def run_page(terminal: Terminal, page: Path) -> Iterator[str]:
+def run_commands(terminal: Terminal, forks: Forks, text: str) -> Said:
+    """Run commands, in children of a process that has loaded everything where they need no shell."""
+    lines = [line.split(" #")[0].strip() for line in text.splitlines()]
+    plain = [_PLAIN.fullmatch(line) for line in lines if line and not line.startswith("#")]
+    if not all(plain):
+        return terminal.run(text)
+    out, err = "", ""
+    for command in filter(None, plain):
+        said = forks.run_text(terminal.here, command[1])
+        out, err = out + said.out, err + said.err
+        if said.code:
+            return Said(said.code, out, err)
+    return Said(0, out, err)
+
+
+def run_page(terminal: Terminal, forks: Forks, page: Path) -> Iterator[str]:
     """Run all blocks of a page; yields what is wrong."""
     done: set[str] = set()
+    run = partial(run_commands, terminal, forks)
     for block in blocks(page):
         if block.mark == "file":
             path = terminal.here / block.words
@@ -67,13 +83,13 @@ def run_page(terminal: Terminal, page: Path) -> Iterator[str]:
                 yield f"{block.where}\n{wrong}"
             continue
         for command, shown in block.commands:
-            said = terminal.run(command, block.words if block.mark == "until" else "")
+            said = terminal.run(command, block.words) if block.mark == "until" else run(command)
             if said.code != 0:
                 yield f"{block.where}: exit code {said.code}\n{command}{said.out}{said.err}"
             if shown and not has_shape(said.out + said.err, shown):
                 yield f"{block.where}: the page shows\n{shown}but the command prints\n{said.out}{said.err}"
             done |= {line.split("#")[0].strip() for line in command.splitlines()}
-            for step, answer in follow(terminal.run, said, done):
+            for step, answer in follow(run, said, done):
                 if answer.code != 0:
                     yield f"{block.where}: the next step\n{step}\nends with {answer.code}\n{answer.out}{answer.err}"
 
@@ -83,8 +99,7 @@ def with_blocks() -> Iterator[object]:
     for page in pages():
         name = name_of(page)
         if name not in OWN_PARTS and any(block.is_run for block in blocks(page)):
-            marks = [pytest.mark.slow] * (name in LONG)
-            yield pytest.param(page, id=name, marks=marks)
+            yield pytest.param(page, id=name)
 
 
 @pytest.fixture
@@ -96,10 +111,10 @@ def terminal(tmp_path: Path) -> Iterator[Terminal]:
 
 
 @pytest.mark.parametrize("page", list(with_blocks()))
-def test_the_blocks_of_a_page_work(page: Path, terminal: Terminal) -> None:
+def test_the_blocks_of_a_page_work(page: Path, terminal: Terminal, forks: Forks) -> None:
     for name, write in GIVEN.get(name_of(page), {}).items():
         write(terminal.here / name)
-    wrong = list(run_page(terminal, page))
+    wrong = list(run_page(terminal, forks, page))
     assert not wrong, "\n\n".join(wrong)
 
 
@@ -157,14 +172,6 @@ def test_targets_and_files_that_pages_name_exist() -> None:
             )
 
 
-@pytest.fixture(scope="module")
-def forks(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Forks]:
-    folder = tmp_path_factory.mktemp("forks")
-    forks = Forks(folder, [], environment(folder))
-    yield forks
-    forks.close()
-
-
 def test_the_examples_of_helps_work(forks: Forks, tmp_path: Path) -> None:
     """`sugiyama COMMAND --help` may end with examples: lines that begin with `sugiyama`."""
     recordings.ring_csv(tmp_path / "ring.csv", duration_s=40.0)
@@ -196,7 +203,6 @@ STARTS = (
 )
 
 
-@pytest.mark.slow
 def test_the_next_steps_that_commands_print_work(forks: Forks, tmp_path: Path) -> None:
     wrong, done = [], set(STARTS)
     run = partial(forks.run_text, tmp_path)

@@ -17,19 +17,6 @@ from sugiyama_ros.trajectories.leaders import gaps
 from sugiyama_ros.trajectories.stretches import stretches
 from sugiyama_ros.trajectories.tracks import NOBODY, Tracks
 
-HEADS = (
-    b"",
-    b"PAR1",
-    b"<fcd-export><timestep time='0'>",
-    b"<commonRoad timeStepSize='0.1'>",
-    b"track_id; type; traveled_d; avg_speed; lat; lon; speed; lon_acc; lat_acc; time\n",
-    b"vehicle;time_s;s_m\n",
-    b"Vehicle_ID,Local_Y,Preceding,Global_Time\n",
-    b"id,time,xloc_kf,lane_kf\n",
-    b"a\nb\nc\nd\ne\nTime,Speed1,E1,N1\n",
-    b"1\t2\t3\t4\t5\t6\n",
-)
-
 
 @st.composite
 def some_tracks(draw: st.DrawFn) -> Tracks:
@@ -105,37 +92,3 @@ def test_any_tracks_can_be_cut_into_stretches(tracks: Tracks, shortest_s: float)
     except InputError as error:
         told = str(error)
     assert "\n" not in told
-
-
-@settings(deadline=None, max_examples=300)
-@given(st.binary(max_size=200), st.sampled_from([".csv", ".txt", ".xml", ".parquet", ".tsv"]), st.sampled_from(HEADS))
-def test_any_bytes_give_one_line_or_tracks(content: bytes, suffix: str, head: bytes) -> None:
-    with TemporaryDirectory() as folder:
-        path = Path(folder, "a" + suffix)
-        path.write_bytes(head + content)
-        told = ""
-        try:
-            read_tracks(path)
-        except InputError as error:
-            told = str(error)
-        assert "\n" not in told
-
-
-@settings(deadline=None, max_examples=200)
-@given(
-    st.lists(
-        st.lists(st.sampled_from(["0", "1", "-1", "2.5", "nan", "x", "", "1e308", "1e19"]), max_size=18), max_size=8
-    )
-)
-def test_any_fields_give_one_line_or_tracks(rows: list[list[str]]) -> None:
-    for head in HEADS[4:]:
-        separator = {59: ";", 9: "\t"}.get(next((c for c in head if c in (59, 9)), 0), ",")
-        with TemporaryDirectory() as folder:
-            path = Path(folder, "a.csv")
-            path.write_bytes(head + "\n".join(separator.join(row) for row in rows).encode() + b"\n")
-            told = ""
-            try:
-                read_tracks(path)
-            except InputError as error:
-                told = str(error)
-            assert "\n" not in told

@@ -11,15 +11,21 @@ from rclpy.node import Node
 
 from sugiyama_ros.nodes.base import environment
 from sugiyama_ros.nodes.base.spin import Spinner, ros
+from sugiyama_ros.nodes.run import RunResult, run
 
 
-@pytest.fixture(autouse=True)
-def own_domain(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A free domain; the environment variables are restored afterwards."""
+def isolate(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Choose a free domain; the environment variables are restored afterwards."""
     for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_DOMAIN_ID"):
         monkeypatch.setenv(name, "")
         monkeypatch.delenv(name)
     environment.isolate()
+
+
+@pytest.fixture(autouse=True)
+def own_domain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each test has a domain of its own."""
+    isolate(monkeypatch)
 
 
 class Stage:
@@ -98,6 +104,16 @@ def write_vehicles(path: Path, lap_m: float) -> Path:
 def ring_csv(tmp_path: Path) -> Path:
     """A file of 4 vehicles on a ring of 100 m, with 200 samples of 0.5 s. It does not give the ring's length."""
     return write_vehicles(tmp_path / "ring.csv", 100.0)
+
+
+@pytest.fixture(scope="session")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, RunResult]:
+    """A file of 4 vehicles on a ring of 100 m, and a run of it at full speed in one process."""
+    folder = tmp_path_factory.mktemp("recorded")
+    source = write_vehicles(folder / "ring.csv", 100.0)
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        isolate(monkeypatch)
+        return source, run(source, folder / "out.mcap", ring_m=100.0)
 
 
 @pytest.fixture

@@ -24,15 +24,13 @@ from sugiyama_msgs.msg import Road as RoadMessage
 from sugiyama_msgs.srv import AddEffect
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.filters.online import OnlineFilter
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.nodes.base import cdr_messages, incoming
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base.spin import ros
 from sugiyama_ros.nodes.critic import Critic
-from sugiyama_ros.nodes.keeper import kept_in, read_learnt
+from sugiyama_ros.nodes.keeper import read_learnt
 from sugiyama_ros.nodes.recorder import Recorder
-from sugiyama_ros.nodes.view import BaseModel
 from sugiyama_ros.trajectories.placing import Positions
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(90)]
@@ -106,12 +104,6 @@ def test_bad_samples_are_refused(what: str) -> None:
     with pytest.raises(incoming.RefusedError, match=r"\w"):
         incoming.sample(BAD_SAMPLES[what])
     assert incoming.sample(GOOD).place == {0: 0, 1: 1, 2: 2}
-
-
-def test_optional_fields_that_are_no_numbers_are_unknown() -> None:
-    found = incoming.sample(optional(d_m=[1.0, math.nan, 2.0], position_var=[0.04, -1.0, math.inf]))
-    assert found.position_var[0] == 0.04
-    assert all(math.isnan(found.position_var[k]) for k in (1, 2))
 
 
 def test_random_bytes_never_raise_anything_else() -> None:
@@ -201,32 +193,6 @@ def test_nodes_go_on_after_bad_messages(stage: Any, tmp_path: Path) -> None:
         assert bag.info().messages >= 30
 
 
-MISSING = {
-    "rear_pressure": {"strength": 1.0},
-    "preference_drift": {"std": 2.0},
-    "external_push": {"strength": 1.0},
-    "discovered_force": {"covariate": 1.0, "force_0": 1.0},
-    "slow_patch": {"reduction": 0.5},
-    "road_grade": {"grade": 0.1},
-    "outlier_noise": {"share": 0.1},
-    "drag": {"c0": math.nan},
-    "no_effect": {"c0": 1.0},
-}
-
-
-def test_effects_without_what_they_need_are_refused_by_estimator_and_critic(stage: Any) -> None:
-    estimator, critic = OneDriver(0), Critic()
-    stage.add(estimator, critic)
-    for service in ("/drivers/add_effect", "/critic/add_effect"):
-        for name, values in MISSING.items():
-            request = AddEffect.Request(effect=name, name=list(values), value=list(values.values()))
-            answer = stage.call(AddEffect, service, request)
-            assert not answer.success
-            assert name in answer.message
-        uneven = AddEffect.Request(effect="drag", name=["c0", "c2"], value=[1.0])
-        assert "2 names, 1 values" in stage.call(AddEffect, service, uneven).message
-
-
 def test_a_request_or_a_message_that_the_code_fails_on_does_not_end_the_node(stage: Any) -> None:
     """rclpy's own services raise for a parameter of an unknown type, and a callback may fail."""
     estimator = OneDriver(0)
@@ -260,17 +226,6 @@ def test_an_environment_in_which_ros_cannot_start(
     monkeypatch.setenv(name, value)
     with pytest.raises(InputError, match=words), ros():
         pass
-
-
-def test_the_base_model_begins_anew_where_nobody_can_drive(monkeypatch: pytest.MonkeyPatch) -> None:
-    base = BaseModel(incoming.road(road_of()))
-    errors = [base.follow(incoming.sample(sample_of(step))) for step in range(30)]
-    assert len(errors[-1]) == 3
-    monkeypatch.setattr(OnlineFilter, "step", lambda *_: 1 // 0)
-    assert base.follow(incoming.sample(sample_of(30))) == []
-    monkeypatch.undo()
-    errors = [base.follow(incoming.sample(sample_of(step))) for step in range(31, 61)]
-    assert (len(errors[0]), len(errors[-1])) == (0, 3)
 
 
 def test_a_filter_that_diverges_starts_anew_and_tells(stage: Any) -> None:
@@ -329,21 +284,6 @@ def test_a_damaged_state_is_refused(tmp_path: Path, changed: dict[str, Any]) -> 
     path.write_text(json.dumps(STATE | changed))
     with pytest.raises(InputError, match="no state that an estimator has saved"):
         read_learnt(path)
-
-
-@pytest.mark.parametrize(
-    "values",
-    [
-        {"name": ["speed"], "value": [8.0]},
-        {"name": ["v_star"], "value": [8e9]},
-        {"name": ["v_star"], "value": [8.0], "covariance": [-1.0]},
-    ],
-)
-def test_a_keeper_with_what_nobody_can_have_learnt_is_refused(values: dict[str, Any]) -> None:
-    given = {"covariance": [1.0], "estimated": [True], "identified": [True]} | values
-    message = incoming.parameters(bytes(serialize_message(DriverParameters(**given))))
-    with pytest.raises(ValueError, match=r"\w"):
-        kept_in(message)
 
 
 def test_events_of_a_subscription_that_was_given_up_are_ignored(stage: Any) -> None:

@@ -16,7 +16,7 @@ from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.cdr_messages import SEVEN_DIGITS, ArrayWriter, KnownDriver, ParameterNames
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.drivers import DriversNode
-from sugiyama_ros.nodes.run import run
+from sugiyama_ros.nodes.run import RunResult, run
 from sugiyama_ros.page.recording import read_recording
 from sugiyama_ros.trajectories.placing import Positions
 
@@ -40,7 +40,7 @@ def shown(name: str, value):
     return np.asarray(value, np.float32).astype(float) if name in SEVEN_DIGITS else value
 
 
-@pytest.mark.parametrize("frame_shift", [0, 1, 2, 3, 4, 5, 6, 7])
+@pytest.mark.parametrize("frame_shift", [0, 3, 6])
 def test_a_message_holds_what_is_known_of_each_driver(frame_shift: int) -> None:
     """Names of all lengths, so that the numbers stand everywhere between two multiples of eight bytes."""
     first = "a" * (1 + frame_shift)
@@ -81,10 +81,10 @@ def test_a_message_holds_what_is_known_of_each_driver(frame_shift: int) -> None:
     assert not writer.fits([a_driver(7, 0, some), a_driver(8, 0, some), a_driver(9, 0, some)])
 
 
-def test_the_array_says_what_the_topics_of_each_vehicle_say(ring_csv: Path, tmp_path: Path) -> None:
-    alone, together = tmp_path / "alone.mcap", tmp_path / "together.mcap"
-    each = run(ring_csv, alone, ring_m=100.0)
-    result = run(ring_csv, together, ring_m=100.0, array=True)
+def test_the_array_says_what_the_topics_of_each_vehicle_say(recorded: tuple[Path, RunResult], tmp_path: Path) -> None:
+    (source, each), together = recorded, tmp_path / "together.mcap"
+    alone = each.output
+    result = run(source, together, ring_m=100.0, array=True)
     assert (result.steps, result.vehicles, result.messages_lost) == (200, 4, 0)
     assert result.messages_published == result.messages_recorded
     assert result.drivers == each.drivers

@@ -1,6 +1,6 @@
 """The estimator node: how it handles stamps, missing samples and failures."""
 
-from math import isnan, nan
+from math import inf, isnan, nan
 from pathlib import Path
 
 import numpy as np
@@ -16,14 +16,14 @@ from sugiyama_msgs.msg import Road as RoadMessage
 from sugiyama_ros.driver.parameters import NAMES, PARAMETERS, population
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.filters.extract import chain_behind
-from sugiyama_ros.filters.online import Learnt, OnlineFilter
+from sugiyama_ros.filters.online import OnlineFilter
 from sugiyama_ros.fit.classes import DriverTypes
 from sugiyama_ros.fit.model_file import write_drivers
 from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
-from sugiyama_ros.nodes.keeper import Keeper, Kept, file_of, read_learnt, write_learnt
+from sugiyama_ros.nodes.keeper import Keeper
 from sugiyama_ros.road import Road as RingRoad
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
@@ -143,31 +143,22 @@ def test_stamps_say_how_much_time_has_passed(stage, pair) -> None:
     assert abs(road.innovations[-1].innovation_m) < 2.0
 
 
-def test_a_stamp_that_comes_again_is_ignored(stage, pair) -> None:
-    road, estimator = pair
-    road.drive(0, 5)
-    road.drive(4, 6)
-    stage.until(lambda: len(road.states) == 6)
-    assert values(estimator)["duplicates"] == 1
-    assert values(estimator)["samples"] == 6
-
-
-def test_a_sample_that_comes_late_is_left_out(stage, pair) -> None:
+def test_a_sample_that_comes_again_or_late_is_left_out(stage, pair) -> None:
     road, estimator = pair
     road.drive(0, 10)
+    road.drive(9, 10)
     road.drive(8, 9)
     road.drive(10, 12)
     stage.until(lambda: len(road.states) == 12)
     counted = values(estimator)
-    assert (counted["late"], counted["resets"], counted["samples"]) == (1, 0, 12)
+    assert [counted[name] for name in ("duplicates", "late", "resets", "samples")] == [1, 1, 0, 12]
     assert abs(road.innovations[-1].innovation_m) < 1.0
 
 
-@pytest.mark.parametrize("wrong", [float("inf"), -float("inf"), float("nan")])
-def test_a_position_that_is_no_number_is_missing(stage, pair, wrong: float) -> None:
+def test_a_position_that_is_no_number_is_missing(stage, pair) -> None:
     road, estimator = pair
     road.drive(0, 10)
-    road.send(10 * PERIOD_S, {7: wrong, 8: wrong})
+    road.send(10 * PERIOD_S, {7: inf, 8: -inf})
     road.drive(11, 13)
     stage.until(lambda: len(road.states) == 13)
     assert isnan(road.innovations[10].innovation_m)
@@ -179,21 +170,6 @@ def test_a_position_that_is_no_number_is_missing(stage, pair, wrong: float) -> N
         expected = filter_.step(position, [7, 8, 9], [4.5, 4.5, 0.0])
     assert road.states[12].speed == expected.speed
     assert estimator.health().level == OK
-
-
-def test_a_standing_leader_disappears_and_returns(stage, pair) -> None:
-    """Vehicle 8 stands for a minute while 7 closes up. Then 8 is gone, and then it is there again."""
-    road, estimator = pair
-    for k in range(160):
-        leader = {} if 120 <= k < 140 else {8: 30.0}
-        road.send(k * PERIOD_S, {7: min(5.0 * k * PERIOD_S, 24.0), **leader})
-        stage.until(lambda k=k: len(road.states) == k + 1)
-    assert estimator.health().level == OK
-    # alone, 7 would accelerate with 4 m/s^2 at once; what stands still has no noise, so it stays within one std
-    assert max(i.nis for i in road.innovations[60:120]) < 1.0
-    assert max(abs(i.innovation_m) for i in road.innovations[120:]) < 2.0
-    assert all(abs(s.speed) < 4.0 * s.covariance[4] ** 0.5 for s in (*road.states[60:120], *road.states[150:]))
-    assert [s.gap_m == pytest.approx(1.5, abs=1.0) for s in road.states[100:120]] == [True] * 20
 
 
 @pytest.mark.parametrize("jump", [0, 1000])
@@ -348,60 +324,6 @@ def test_the_type_of_the_driver_is_published(stage, ring_csv: Path, tmp_path: Pa
     learnt, prior = estimator.follower.filter.learnt, estimator.follower.filter.prior
     assert told[-1].probability == pytest.approx(types.probabilities(learnt, prior))
     assert (told[-1].header.stamp.sec, told[-1].vehicle) == (10, 7)
-
-
-def test_what_was_learnt_is_forgotten_when_the_user_sets_a_parameter(stage, tmp_path: Path) -> None:
-    learnt = Learnt(("sigma_nu", "sigma_a", "v_star", "kappa_v"), np.log([0.2, 0.5, 12.0, 0.3]), 0.01 * np.eye(4))
-    write_learnt(file_of(tmp_path, 7), Kept(learnt, -1))
-    road = Road()
-    estimator = OneDriver(7, resume=str(tmp_path))
-    stage.add(road, estimator)
-    stage.until(lambda: estimator.health().level == OK)
-    road.drive(0, 1)
-    stage.until(lambda: len(road.parameters) == 1)
-    (answer,) = estimator.set_parameters([Parameter("kappa_v", value=0.25)])
-    assert answer.successful
-    road.drive(1, 2)
-    stage.until(lambda: len(road.parameters) == 2)
-    resumed, reset = (dict(zip(m.name, m.value, strict=True)) for m in road.parameters)
-    assert [resumed[n] for n in learnt.names] == pytest.approx([0.2, 0.5, 12.0, 0.3])
-    expected = dict(zip(NAMES, population().tolist(), strict=True)) | {"kappa_v": 0.25}
-    assert reset == pytest.approx(expected)
-    assert not any(road.parameters[1].identified)
-
-
-def test_a_killed_node_continues_from_its_file(stage, tmp_path: Path) -> None:
-    """The node is killed after 30 s; its file is from 20 s. It goes on from there with the samples that come then."""
-    noise = np.random.default_rng(1).normal(0.0, 0.26, (80, 2))
-    position = (np.array([0.0, 30.0]) + 5.0 * PERIOD_S * np.arange(80)[:, None] + noise) % 100.0
-    road, first = Road(), OneDriver(7, save_state=str(tmp_path))
-
-    def drive(estimator: OneDriver, begin: int, end: int) -> None:
-        for k in range(begin, end):
-            road.send(k * PERIOD_S, dict(zip((7, 8), position[k].tolist(), strict=True)))
-        last_ns = round((end - 1) * PERIOD_S * cdr_messages.NS)
-        stage.until(lambda: estimator.follower is not None and estimator.follower.stamp_ns == last_ns)
-
-    stage.add(road, first)
-    stage.until(lambda: first.health().level == OK)
-    for begin in range(0, 60, 20):
-        drive(first, begin, begin + 20)
-    saved = read_learnt(file_of(tmp_path, 7))
-    stage.kill(first)
-    again = OneDriver(7, resume=str(tmp_path))
-    assert saved.until_ns == 20 * cdr_messages.NS
-    stage.add(again)
-    # the road is latched; the samples since its predecessor's last file are gone
-    stage.until(lambda: again.health().level == OK)
-    drive(again, 60, 80)
-    assert values(again)["samples"] == 20
-    same = OnlineFilter(PERIOD_S, RingRoad(100.0))
-    for k in (*range(41), *range(60, 80)):
-        if k == 60:
-            same.restart()
-        same.step([*position[k], nan], [7, 8, 9], [4.5, 4.5, 0.0], k * PERIOD_S)
-    assert again.follower.filter.learnt.mean == pytest.approx(same.learnt.mean, rel=1e-6)
-    assert again.follower.filter.learnt.covariance == pytest.approx(same.learnt.covariance, rel=1e-6, abs=1e-9)
 
 
 def test_a_killed_node_continues_from_the_keeper(stage) -> None:

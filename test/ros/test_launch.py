@@ -126,18 +126,6 @@ def model_file(folder: Path) -> Path:
     return folder / "model.yaml"
 
 
-def test_a_simulation_with_all_arguments_ends_by_itself(prefix: Path, tmp_path: Path) -> None:
-    log, output = tmp_path / "said.txt", tmp_path / "out.mcap"
-    more = {"vehicles": 2, "duration": 30.0, "rate": 0.0, "model": model_file(tmp_path), "config": ROOT / "config"}
-    code, said = ended(started("simulate", log, output=output, **more, **ALL), log)
-    assert code == 0, said
-    assert "process has died" not in said
-    with Bag(output) as bag:
-        counts = {topic.name: topic.count for topic in bag.info().topics}
-    assert counts["/ring/vehicle_00/state"] == counts["/ring/vehicle_00/truth"] == counts["/ring/measured"]
-    assert counts["/ring/verdict"] >= 5
-
-
 @pytest.mark.parametrize("given", [{}, ALL], ids=["as it is", "all arguments"])
 def test_a_live_launch_waits_for_vehicles_and_ends_with_ctrl_c(
     prefix: Path, tmp_path: Path, given: dict[str, str]

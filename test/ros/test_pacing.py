@@ -36,12 +36,6 @@ def test_the_slowest_subscriber_decides() -> None:
     assert not pace.drained
 
 
-def test_without_subscribers_everything_is_sent() -> None:
-    pace = Pace(8, 10.0)
-    assert send_all(pace) == 1000
-    assert pace.drained
-
-
 def test_silent_subscribers_are_dropped_and_may_come_back() -> None:
     pace = Pace(8, 10.0)
     pace.heard("/a", 0, 0.0)
@@ -110,7 +104,3 @@ def test_a_late_topic_is_dropped(steps: int) -> None:
     assert levels.drop_late() == (["/late"], stamps[-1])
     assert not levels.reached("/x", b"n")
     assert levels.reached("/y", b"n")
-
-
-def test_no_topic_is_late_when_nothing_waits() -> None:
-    assert Levels(["/x", "/y"]).drop_late() == ([], None)

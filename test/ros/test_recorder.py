@@ -19,7 +19,6 @@ from sugiyama_msgs.msg import MeasuredPositions
 
 from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.formats.mcap_reader import Bag, bag_files
-from sugiyama_ros.formats.mcap_writer import BagWriter
 from sugiyama_ros.formats.recover import recover
 from sugiyama_ros.nodes import recorder as recorder_module
 from sugiyama_ros.nodes.base import cdr_messages
@@ -134,21 +133,6 @@ def test_an_output_that_cannot_be_written_is_one_line(stage, tmp_path: Path) -> 
         Recorder(parameter_overrides=[Parameter("output", value="out.mcap"), Parameter("metadata", value=["run"])])
 
 
-def test_a_disk_that_refuses_ends_the_recorder_and_no_other(stage, tmp_path: Path, monkeypatch) -> None:
-    node, recording = Node("sender"), recorder(tmp_path / "out.mcap")
-    publisher = node.create_publisher(String, "plain", STREAM)
-    stage.add(node, recording)
-
-    def refuse(*_: object) -> None:
-        raise OutputError("out.mcap: cannot be written: No space left on device; free some space")
-
-    monkeypatch.setattr(BagWriter, "write", refuse)
-    publisher.publish(String(data="one"))
-    stage.until(lambda: recording.failure is not None)
-    recording.close()
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_kill_loses_at_most_a_second(stage, tmp_path: Path) -> None:
     output = tmp_path / "out.mcap"
     node = Node("sender")
@@ -187,8 +171,7 @@ def test_kill_loses_at_most_a_second(stage, tmp_path: Path) -> None:
     assert killed_s - last_kept_s < 1.3
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_leaves_a_closed_file(stage, tmp_path: Path, number: signal.Signals) -> None:
+def test_a_signal_leaves_a_closed_file(stage, tmp_path: Path) -> None:
     output = tmp_path / "out.mcap"
     node = Node("sender")
     publisher = node.create_publisher(String, "plain", STREAM)
@@ -200,39 +183,13 @@ def test_a_signal_leaves_a_closed_file(stage, tmp_path: Path, number: signal.Sig
         for k in range(100):
             publisher.publish(String(data=str(k)))
         stage.for_a_while(0.5)
-        child.send_signal(number)
+        child.send_signal(signal.SIGTERM)
         assert child.wait(15) == 0
     finally:
         child.kill()
         child.wait()
     with Bag(output) as bag:
         assert [m.message.data for m in bag.messages(["/plain"])] == [str(k) for k in range(100)]
-
-
-def test_a_process_that_cannot_be_taken_down_ends_with_its_work_done(stage, tmp_path: Path) -> None:
-    output = tmp_path / "out.mcap"
-    node = Node("sender")
-    publisher = node.create_publisher(String, "plain", STREAM)
-    stage.add(node)
-    code = (
-        "from sugiyama_ros.nodes.recorder import Recorder\nfrom sugiyama_ros.nodes.base.spin import run_node\n"
-        "def hang(self):\n"
-        "    while True: pass\n"
-        "Recorder.destroy_node = hang\n"
-        "run_node(Recorder)"
-    )
-    child = subprocess.Popen([sys.executable, "-c", code, "--ros-args", "-p", f"output:={output}"])
-    try:
-        stage.until(lambda: publisher.get_subscription_count() > 0)
-        publisher.publish(String(data="one"))
-        stage.for_a_while(0.5)
-        child.send_signal(signal.SIGINT)
-        assert child.wait(15) == -signal.SIGALRM
-    finally:
-        child.kill()
-        child.wait()
-    with Bag(output) as bag:
-        assert [m.message.data for m in bag.messages(["/plain"])] == ["one"]
 
 
 def test_a_directory_of_rosbag2_in_the_time_of_the_data(stage, tmp_path: Path) -> None:

@@ -9,7 +9,9 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from typer.testing import CliRunner
 
+from sugiyama_ros.cli.app import app
 from sugiyama_ros.errors import InputError, OutputError, SugiyamaError
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.registry import read_trajectories
@@ -46,16 +48,26 @@ def assert_nothing_lost(result: RunResult, output: Path) -> None:
     }
 
 
-def test_nothing_is_lost_at_full_speed(ring_csv: Path, tmp_path: Path) -> None:
-    output = tmp_path / "out.mcap"
+def test_the_recorded_positions_equal_the_positions_read(recorded: tuple[Path, RunResult]) -> None:
+    source, result = recorded
+    assert_nothing_lost(result, result.output)
+    original, back = read_trajectories(source, 100.0), read_trajectories(result.output)
+    assert back.position_m == pytest.approx(original.position_m, abs=1e-9)
+    assert (back.leader == original.leader).all()
+    assert back.sha256 == original.sha256
+
+
+def test_a_recording_can_be_run_again(recorded: tuple[Path, RunResult], tmp_path: Path) -> None:
+    output = tmp_path / "again.mcap"
     told: list[tuple[int, int]] = []
-    result = run(ring_csv, output, ring_m=100.0, on_progress=lambda k, n: told.append((k, n)))
+    result = run(recorded[1].output, output, on_progress=lambda k, n: told.append((k, n)))
     assert_nothing_lost(result, output)
+    assert result.drivers == recorded[1].drivers
     assert [d.vehicle for d in result.drivers] == [0, 1, 2, 3]
     assert all(0.05 < d.one_step_rmse_m < 2.0 for d in result.drivers)
     assert told == sorted(told)
     assert told[-1][1] == 200
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["out.mcap", "ring.csv"]
+    assert [p.name for p in tmp_path.iterdir()] == ["again.mcap"]
 
 
 def test_compiling_does_not_count_as_time_that_a_node_is_not_heard_of(
@@ -78,21 +90,6 @@ def test_compiling_does_not_count_as_time_that_a_node_is_not_heard_of(
     assert result.wall_s < passed[0]
 
 
-def test_the_recorded_positions_equal_the_positions_read(ring_csv: Path, tmp_path: Path) -> None:
-    run(ring_csv, tmp_path / "out.mcap", ring_m=100.0)
-    original, back = read_trajectories(ring_csv, 100.0), read_trajectories(tmp_path / "out.mcap")
-    assert back.position_m == pytest.approx(original.position_m, abs=1e-9)
-    assert (back.leader == original.leader).all()
-    assert back.sha256 == original.sha256
-
-
-def test_a_recording_can_be_run_again(ring_csv: Path, tmp_path: Path) -> None:
-    first = run(ring_csv, tmp_path / "first.mcap", ring_m=100.0)
-    again = run(tmp_path / "first.mcap", tmp_path / "again.mcap")
-    assert_nothing_lost(again, tmp_path / "again.mcap")
-    assert again.drivers == first.drivers
-
-
 def test_a_run_continues_from_the_saved_state_of_another(ring_csv: Path, tmp_path: Path) -> None:
     def parameters(path: Path, which: int) -> dict[str, float]:
         with Bag(path) as bag:
@@ -100,30 +97,21 @@ def test_a_run_continues_from_the_saved_state_of_another(ring_csv: Path, tmp_pat
         return dict(zip(message.name, message.value.tolist(), strict=True))
 
     kept = tmp_path / "kept"
-    run(ring_csv, tmp_path / "first.mcap", ring_m=100.0, save_state=kept)
+    kept.mkdir()
+    (kept / "vehicle_00.json").write_text("of somebody else")
+    with pytest.raises(OutputError, match=r"vehicle_00\.json: exists already; choose another"):
+        run(ring_csv, tmp_path / "first.mcap", ring_m=100.0, save_state=kept)
+    assert (kept / "vehicle_00.json").read_text() == "of somebody else"
+    run(ring_csv, tmp_path / "first.mcap", ring_m=100.0, save_state=kept, overwrite=True)
     assert sorted(p.name for p in kept.iterdir()) == [f"vehicle_0{v}.json" for v in range(4)]
     end = parameters(tmp_path / "first.mcap", -1)
-    run(ring_csv, tmp_path / "second.mcap", ring_m=100.0, resume=kept)
+    run(ring_csv, tmp_path / "second.mcap", ring_m=100.0, save_state=kept, resume=kept)  # in its own directory
     assert parameters(tmp_path / "second.mcap", 0) == pytest.approx(end, rel=0.01)
     (kept / "vehicle_02.json").write_text("{}")
     with pytest.raises(InputError, match=r"vehicle_02\.json: is no state that an estimator has saved"):
         run(ring_csv, tmp_path / "third.mcap", ring_m=100.0, resume=kept)
     with pytest.raises(InputError, match="nowhere: nothing is known of these vehicles"):
         run(ring_csv, tmp_path / "third.mcap", ring_m=100.0, resume=tmp_path / "nowhere")
-
-
-def test_states_of_another_run_are_kept(ring_csv: Path, tmp_path: Path) -> None:
-    """A file of somebody else is replaced with --overwrite only. A run may go on in its own directory."""
-    kept = tmp_path / "kept"
-    kept.mkdir()
-    (kept / "vehicle_00.json").write_text("of somebody else")
-    with pytest.raises(OutputError, match=r"vehicle_00\.json: exists already; choose another"):
-        run(ring_csv, tmp_path / "out.mcap", ring_m=100.0, save_state=kept)
-    assert [p.name for p in tmp_path.glob("kept/*")] == ["vehicle_00.json"]
-    assert (kept / "vehicle_00.json").read_text() == "of somebody else"
-    run(ring_csv, tmp_path / "out.mcap", ring_m=100.0, save_state=kept, overwrite=True)
-    assert '"v_star"' in (kept / "vehicle_00.json").read_text()
-    run(ring_csv, tmp_path / "more.mcap", ring_m=100.0, save_state=kept, resume=kept)
 
 
 def test_filterpy_gives_the_same_estimates(tmp_path: Path) -> None:
@@ -140,14 +128,16 @@ def test_filterpy_gives_the_same_estimates(tmp_path: Path) -> None:
 
 def test_the_truth_of_a_simulation_is_kept(tmp_path: Path) -> None:
     """simulate, run, report: the same truth, also after two runs; markers for every sample, at times of data."""
-    sugiyama = str(Path(sys.executable).with_name("sugiyama"))
-    simulate = ("simulate", "--vehicles", "3", "--ring", "60", "--duration", "20", "-o", "sim.mcap")
-    subprocess.run([sugiyama, *simulate], cwd=tmp_path, check=True, capture_output=True)
+
+    def sugiyama(command: str, *files: Path) -> str:
+        said = CliRunner().invoke(app, [*command.split(), *map(str, files)])
+        assert said.exit_code == 0, said.output
+        return said.output
+
+    sugiyama("simulate --vehicles 3 --ring 60 --duration 20 -o", tmp_path / "sim.mcap")
     run(tmp_path / "sim.mcap", tmp_path / "run.mcap")
     run(tmp_path / "run.mcap", tmp_path / "again.mcap")
-    told = subprocess.run(
-        [sugiyama, "report", "again.mcap", "-o", "page.html"], cwd=tmp_path, check=True, capture_output=True, text=True
-    ).stdout
+    told = sugiyama("report", tmp_path / "again.mcap")
     assert "Estimates against the truth" in told
     assert "errors: speed 0." in told
     first, again = (read_truth(tmp_path / name) for name in ("sim.mcap", "again.mcap"))
@@ -225,12 +215,14 @@ def test_ctrl_c_leaves_a_closed_file(ring_csv: Path, tmp_path: Path) -> None:
     assert int(steps) <= counts["/vehicle_03/state"] <= counts["/measured"] < 200
 
 
-def test_bad_input_starts_nothing(ring_csv: Path, tmp_path: Path) -> None:
+def test_what_is_refused_starts_nothing_and_leaves_no_road_behind(ring_csv: Path, tmp_path: Path) -> None:
+    """The next run of this process is in the same DDS domain and would take the road for its own."""
     with pytest.raises(InputError):
         run(tmp_path / "missing.csv", tmp_path / "out.mcap")
     with pytest.raises(OutputError, match="cannot be written"):
         run(ring_csv, tmp_path / "missing" / "out.mcap", ring_m=100.0)
     assert [p.name for p in tmp_path.iterdir()] == ["ring.csv"]
+    assert_nothing_lost(run(ring_csv, tmp_path / "kept.mcap", ring_m=100.0), tmp_path / "kept.mcap")
 
 
 def test_a_node_that_is_refused_leaves_the_old_recording(tmp_path: Path) -> None:
@@ -240,11 +232,3 @@ def test_a_node_that_is_refused_leaves_the_old_recording(tmp_path: Path) -> None
     with pytest.raises(SugiyamaError, match="22 vehicles with gaps of 2 m need 137 m"):
         run(crowded, tmp_path / "out.mcap", overwrite=True)
     assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("out.mcap", b"precious")]
-
-
-def test_a_run_that_is_refused_leaves_no_road_behind(ring_csv, tmp_path):
-    """The next run of this process is in the same DDS domain and would take the road for its own."""
-    with pytest.raises(OutputError):
-        run(ring_csv, tmp_path / "nowhere/refused.mcap", ring_m=100.0)
-    kept = tmp_path / "kept.mcap"
-    assert_nothing_lost(run(ring_csv, kept, ring_m=100.0), kept)

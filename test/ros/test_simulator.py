@@ -5,10 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from one_driver import OneDriver
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from std_srvs.srv import Trigger
 from sugiyama_msgs.msg import MeasuredPositions, StyleChange, TrueParameters, Truth
 from sugiyama_msgs.srv import SetDriver
 
@@ -107,26 +105,6 @@ def test_the_truth_is_what_the_drivers_do(stage) -> None:
 def test_a_start_that_is_not_possible(stage, wrong: dict[str, Any], why: str) -> None:
     with pytest.raises(InputError, match=why):
         simulator(**wrong)
-
-
-def test_a_changed_driver_is_a_change_of_style(stage) -> None:
-    """A driver with a free road wants to drive a third slower. The estimator tells of it, and of nothing before."""
-    node = simulator(vehicles=3, ring=600.0, start="equal", rate=0.0, wait_for=["/drivers"])
-    listener, estimator = Listener(1), OneDriver(1)
-    stage.add(node, listener, estimator)
-    stage.until(lambda: len(listener.samples) > 300, 40.0)
-    assert stage.call(Trigger, "/simulator/pause", Trigger.Request()).success
-    assert not listener.changes
-    request = SetDriver.Request(vehicle=1, name=["v_star"], value=[6.8])
-    assert stage.call(SetDriver, "/simulator/set_driver", request).success
-    stage.until(lambda: len(listener.parameters) == 2)
-    since = listener.parameters[-1].header.stamp
-    assert stage.call(Trigger, "/simulator/resume", Trigger.Request()).success
-    stage.until(lambda: bool(listener.changes), 40.0)
-    told = listener.changes[0]
-    assert (told.vehicle, told.name) == (1, "v_star")
-    assert told.factor < 1.0
-    assert 0.0 < told.header.stamp.sec - since.sec < 25.0
 
 
 class AskOnce:

@@ -61,13 +61,11 @@ try:
 except SystemExit as end:
     assert not end.code, end.code
 loaded = {name.partition(".")[0] for name in sys.modules}
-assert not loaded & {"numba", "scipy", "filterpy", "rclpy"}, loaded
+assert not loaded & {"numba", "scipy", "filterpy", "rclpy", "bokeh"}, loaded
 """
 
 
-@pytest.mark.parametrize(
-    "arguments", [["--help"], ["--version"], ["info", "good.mcap"], ["echo", "good.mcap", "/road"]]
-)
+@pytest.mark.parametrize("arguments", [["calibrate", "--help"], ["info", "good.mcap"], ["echo", "good.mcap", "/road"]])
 def test_short_commands_load_no_compiled_code(sugiyama, here, arguments):
     assert sugiyama("convert", "good.csv", "good.mcap")[0] == 0
     done = subprocess.run([sys.executable, "-c", LOADED, *arguments], capture_output=True, text=True, check=False)
@@ -75,27 +73,11 @@ def test_short_commands_load_no_compiled_code(sugiyama, here, arguments):
     assert done.stdout
 
 
-BAD_CSV = {
-    "empty": ("", ("bad.csv", "empty")),
-    "header only": ("time_s,vehicle,position_m\n", ("bad.csv",)),
-    "wrong columns": ("t,car,x\n0,1,2\n", ("bad.csv", "position_m")),
-    "text": ("time_s,vehicle,position_m\n0,1,2\n0.5,1,far\n", ("bad.csv", "3", "position_m")),
-    "nan": ("time_s,vehicle,position_m\n0,1,2\nnan,1,3\n", ("bad.csv", "3", "time_s")),
-    "backward": ("time_s,vehicle,position_m\n0,1,2\n1,1,3\n0.5,1,4\n", ("bad.csv", "4")),
-    "twice": ("time_s,vehicle,position_m\n0,1,2\n0,1,3\n", ("bad.csv", "3")),
-    "irregular": ("time_s,vehicle,position_m\n0,1,2\n1,1,3\n2,1,4\n3.4,1,5\n4,1,6\n", ("bad.csv", "regular")),
-    "one sample": ("time_s,vehicle,position_m\n0,1,2\n", ("bad.csv",)),
-    "negative length": ("time_s,vehicle,position_m,length_m\n0,1,2,-4\n1,1,3,-4\n", ("bad.csv", "length")),
-}
-
-
-@pytest.mark.parametrize("what", BAD_CSV)
 @pytest.mark.parametrize("command", ["convert", "run"])
-def test_bad_csv(sugiyama, here, what, command):
-    text, words = BAD_CSV[what]
-    (here / "bad.csv").write_text(text)
+def test_bad_csv(sugiyama, here, command):
+    (here / "bad.csv").write_text("time_s,vehicle,position_m\n0,1,2\nnan,1,3\n")
     output = ["out.mcap"] if command == "convert" else ["-o", "out.mcap"]
-    one_line(sugiyama(command, "bad.csv", *output), *words)
+    one_line(sugiyama(command, "bad.csv", *output), "bad.csv", "3", "time_s")
     assert sorted(p.name for p in here.iterdir()) == ["bad.csv", "good.csv"]
 
 
@@ -165,7 +147,7 @@ def test_bad_arguments(sugiyama, here, arguments, words):
 
 def test_a_refused_output_leaves_what_was_there(sugiyama, here):
     (here / "out.mcap").write_bytes(b"mine")
-    (here / "bad.csv").write_text(BAD_CSV["nan"][0])
+    (here / "bad.csv").write_text("time_s,vehicle,position_m\n0,1,2\nnan,1,3\n")
     one_line(sugiyama("convert", "bad.csv", "out.mcap"))
     assert (here / "out.mcap").read_bytes() == b"mine"
 
@@ -188,24 +170,16 @@ def test_a_full_disk_is_one_line(sugiyama, here):
         subprocess.run(["umount", small], check=True)
 
 
-def test_names_with_marks_of_their_own(sugiyama, here):
-    (here / "[red]a b.csv").write_text(GOOD)
-    code, out, _ = sugiyama("convert", "[red]a b.csv", "[bold].mcap")
-    assert (code, "[bold].mcap" in out) == (0, True)
-    code, out, _ = sugiyama("info", "[bold].mcap")
-    assert (code, "[bold].mcap" in out, "[red]a b.csv" in out) == (0, True, True)
-
-
 def test_every_json_is_one_document(sugiyama, here):
     commands = [
-        ("simulate", "-o", "sim.mcap", "--duration", "30", "--json"),
+        ("simulate", "-o", "sim.mcap", "--vehicles", "4", "--ring", "60", "--duration", "30", "--json"),
         ("convert", "good.csv", "good.mcap", "--json"),
         ("info", "good.mcap", "--json"),
         ("echo", "good.mcap", "/measured", "--json"),
         ("echo", "good.mcap", "/road", "--json"),
         ("recover", "good.mcap", "-o", "again.mcap", "--json"),
         ("run", "sim.mcap", "-o", "run.mcap", "--json"),
-        ("echo", "run.mcap", "/vehicle_21/parameters", "--json"),
+        ("echo", "run.mcap", "/vehicle_03/parameters", "--json"),
         ("echo", "run.mcap", "/diagnostics", "--json"),
         ("echo", "run.mcap", "/markers", "--json"),
     ]
@@ -218,8 +192,8 @@ def test_every_json_is_one_document(sugiyama, here):
     assert {"steps", "vehicles", "messages_published", "messages_recorded", "messages_lost", "wall_s"} <= set(run)
     assert {"real_time_factor", "output", "drivers"} <= set(run)
     keys = {"vehicle", "law", "v_star", "kappa_v", "sigma_nu", "sigma_a", "one_step_rmse_m", "nis_mean", "identified"}
-    assert [set(d) for d in run["drivers"]] == [keys] * 22
-    assert (run["steps"], run["vehicles"], run["messages_lost"]) == (91, 22, 0)
+    assert [set(d) for d in run["drivers"]] == [keys] * 4
+    assert (run["steps"], run["vehicles"], run["messages_lost"]) == (91, 4, 0)
     assert len(documents["echo", "good.mcap", "/measured"]) == 40
 
 
@@ -241,14 +215,6 @@ def test_help_describes_every_command_in_a_full_sentence(sugiyama):
     assert all(line.endswith(".") and not line.endswith("...") for line in told)
 
 
-def test_help_keeps_units_in_square_brackets(sugiyama):
-    run, simulate = (" ".join(sugiyama(command, "--help")[1].split()) for command in ("run", "simulate"))
-    assert "Circumference of the road [m], if" in run
-    for words in ("Circumference of the ring [m];", "simulation [s].", "two samples [s]."):
-        assert words in simulate
-    assert "NAME:PARAMETER=VALUE[,...]:" in simulate
-
-
 def test_effects_and_laws_are_listed_with_units(sugiyama):
     code, out, err = sugiyama("effects")
     assert (code, err) == (0, "")
@@ -258,48 +224,6 @@ def test_effects_and_laws_are_listed_with_units(sugiyama):
     (idm,) = json.loads(sugiyama("laws", "idm", "--json")[1])
     assert {p["name"]: p["unit"] for p in idm["parameters"]}["v0"] == "m/s"
     one_line(sugiyama("effects", "magic"), "magic")
-
-
-def test_tables_fit_80_columns(sugiyama, here):
-    sugiyama("simulate", "-o", "four.csv", "--vehicles", "4", "--ring", "45", "--duration", "20")
-    lines = [line for line in sugiyama("calibrate", "four.csv", "--ring", "45")[1].splitlines() if line[:1] in "┃│┏└"]
-    assert lines
-    assert max(map(len, lines)) <= 80
-
-
-def test_help_loads_nothing_heavy():
-    code = (
-        "import sys\n"
-        "from sugiyama_ros.cli import main\n"
-        "sys.argv = ['sugiyama', 'calibrate', '--help']\n"
-        "try:\n"
-        "    main()\n"
-        "except SystemExit:\n"
-        "    print(*sorted({'numba', 'scipy', 'rclpy', 'bokeh'} & set(sys.modules)), file=sys.stderr)\n"
-    )
-    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert told.stdout.startswith("Usage: sugiyama calibrate")
-    assert told.stderr == "\n"
-
-
-#: Values of options that are refused; options that contradict each other are in test/journeys/test_option_pairs.py.
-REFUSED = [
-    (("--formulation", "exact"), ("--formulation: 'exact'", "paper", "causal")),
-    (("--output", "model.txt"), ("model.txt", ".yaml")),
-    (("--parameters", "speed"), ("speed", "v_star")),
-]
-
-
-@pytest.mark.parametrize(("arguments", "words"), REFUSED)
-def test_values_that_are_none(sugiyama, here, arguments, words):
-    one_line(sugiyama("calibrate", "good.csv", *arguments), *words)
-    assert sorted(p.name for p in here.iterdir()) == ["good.csv"]
-
-
-def test_a_seed_repeats_the_file(sugiyama, here):
-    for name in ("a", "b"):
-        assert sugiyama("simulate", "-o", f"{name}.csv", "--duration", "20", "--seed", "5", "--spread", "0.1")[0] == 0
-    assert (here / "a.csv").read_bytes() == (here / "b.csv").read_bytes()
 
 
 def test_a_collision_is_reported(sugiyama, here):
@@ -339,13 +263,11 @@ def test_progress_is_for_terminals_only(here):
     assert Path("out.mcap").exists()
 
 
-@pytest.mark.parametrize(
-    "program", ["from sugiyama_ros.cli import main", "from sugiyama_ros.nodes.executables import simulator as main"]
-)
-def test_where_nothing_can_be_written_the_cure_is_said(program: str, here) -> None:
+def test_where_nothing_can_be_written_the_cure_is_said(here) -> None:
     """Neither the installation nor the home directory can keep compiled code."""
-    code = f"from numba.core import caching\ncaching.CacheImpl._locator_classes = []\n{program}\nmain()"
-    command = [sys.executable, "-c", code, *(["simulate", "-o", "a.csv"] if ".cli" in program else [])]
+    code = "from numba.core import caching\ncaching.CacheImpl._locator_classes = []\n"
+    code += "from sugiyama_ros.cli import main\nmain()"
+    command = [sys.executable, "-c", code, "simulate", "-o", "a.csv"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert done.returncode == 2
     assert len([line for line in done.stderr.splitlines() if not line.startswith("[INFO]")]) == 1

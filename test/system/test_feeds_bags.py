@@ -5,7 +5,6 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +44,6 @@ from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.trajectories.tracks import FREE, UNKNOWN, Tracks
 
 pytestmark = pytest.mark.system
-CASES = next((p / "shared/cases" for p in Path(__file__).parents if (p / "shared/cases").is_dir()), Path("none"))
 ODOM = "/car*/odom"
 
 
@@ -117,12 +115,8 @@ def check(tracks: Tracks, begin_s: float = 100.0, within_m: float = 0.02, unknow
 @pytest.mark.parametrize(
     ("periods", "phases", "usual_s"),
     [
-        ((0.1, 0.1, 0.1), (0.0, 0.0, 0.0), 0.1),
-        ((0.1, 0.2, 0.1), (0.0, 0.0, 0.0), 0.1),
         ((0.2, 0.1, 0.2), (0.03, 0.0, 0.11), 0.2),
-        ((0.2, 0.2, 0.2), (0.0, 0.07, 0.13), 0.2),
         ((0.05, 0.1, 1.0 / 30.0), (0.0, 0.02, 0.05), 0.05),
-        ((0.5, 0.5, 0.5), (0.0, 0.2, 0.4), 0.5),
         ((0.1, 0.4, 0.5), (0.0, 0.0, 0.3), 0.4),
     ],
 )
@@ -134,9 +128,8 @@ def test_rates_and_phases(tmp_path: Path, periods: tuple, phases: tuple, usual_s
     assert ("warning: vehicles were seen every" in said) == (max(periods) > 1.5 * min(periods))
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_dropped_messages_jitter_and_another_period(tmp_path: Path, seed: int) -> None:
-    rng, feeds = np.random.default_rng(seed), []
+def test_dropped_messages_jitter_and_another_period(tmp_path: Path) -> None:
+    rng, feeds = np.random.default_rng(0), []
     for car in range(CARS):
         times = every(0.1, 0.03 * car)
         times = np.sort(times + rng.uniform(-0.03, 0.03, len(times)))
@@ -158,21 +151,6 @@ def test_a_vehicle_that_is_lost_is_not_gone(tmp_path: Path) -> None:
     assert "1 times a vehicle was not seen" in said
 
 
-def test_calibration_does_not_depend_on_rates(tmp_path: Path) -> None:
-    found = {}
-    for name, period_s in (("same", 0.1), ("mixed", 0.2)):
-        feeds = [odometry(car, every(period_s if car == 1 else 0.1)) for car in range(CARS)]
-        bag = write(tmp_path / f"{name}.mcap", *feeds)
-        converted(bag)
-        drivers = document("calibrate", tmp_path / "out.parquet")["drivers"]
-        found[name] = {one["vehicle"]: one for one in drivers}
-    for vehicle, same in found["same"].items():
-        mixed = found["mixed"][vehicle]
-        for parameter in ("v_star", "kappa_v"):
-            off = abs(np.log(mixed[parameter] / same[parameter]))
-            assert off < 0.1, (vehicle, parameter, same, mixed)
-
-
 # --- stamps
 
 
@@ -192,8 +170,9 @@ def now_and_then(t: float) -> dict[str, int]:
     return NO_STAMP if round(t * 10) % 4 == 0 else stamp(t)
 
 
-@pytest.mark.parametrize("stamps", [never, always_the_same, seconds_only, now_and_then])
-@pytest.mark.parametrize("which", [(0, 1, 2), (1,)])
+@pytest.mark.parametrize(
+    ("stamps", "which"), [(never, (0, 1, 2)), (always_the_same, (1,)), (seconds_only, (0, 1, 2)), (now_and_then, (1,))]
+)
 def test_stamps_that_cannot_be_right(tmp_path: Path, stamps: Callable, which: tuple[int, ...]) -> None:
     feeds = [odometry(c, every(0.1), stamps if c in which else stamp) for c in range(CARS)]
     tracks, said = converted(write(tmp_path / "a.mcap", *feeds))
@@ -243,7 +222,7 @@ def px4(car: int, unit_s: float, boot_s: float) -> list[Recorded]:
     return [Recorded(f"/px4_{car}/fmu/out/vehicle_odometry", PX4, t + 0.005, make(t)) for t in every(0.1).tolist()]
 
 
-@pytest.mark.parametrize(("unit", "unit_s"), [("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)])
+@pytest.mark.parametrize(("unit", "unit_s"), [("ms", 1e-3), ("ns", 1e-9)])
 def test_stamps_in_other_units_and_quaternions_in_arrays(tmp_path: Path, unit: str, unit_s: float) -> None:
     bag = write(tmp_path / "a.mcap", *(px4(car, unit_s, 37.2) for car in range(CARS)))
     bridge, pattern = tmp_path / "px4.yaml", "/px4_*/fmu/out/vehicle_odometry"
@@ -265,65 +244,21 @@ def test_stamps_in_other_units_and_quaternions_in_arrays(tmp_path: Path, unit: s
     check(converted(bag, pattern, "--bridge", bridge)[0], within_m=0.15)
 
 
-def test_vehicles_that_count_from_their_own_start(tmp_path: Path) -> None:
-    bag = write(tmp_path / "a.mcap", *(px4(car, 1e-6, 37.2 + 100.0 * car) for car in range(CARS)))
-    bridge = tmp_path / "px4.yaml"
-    bridge.write_text(f"type: {PX4}\nx: position[0]\ny: position[1]\nstamp: timestamp\nframe: ''\nstamp_unit: us\n")
-    tracks, said = converted(bag, "/px4_*/fmu/out/vehicle_odometry", "--bridge", bridge)
-    assert said.count("it was set by the log times") == 2
-    check(tracks, begin_s=float(tracks.time_s.min()), within_m=0.02)
-
-
 # --- names
 
 
-@pytest.mark.parametrize(
-    "name_of", [lambda car: "", lambda car: "0", lambda car: "car", lambda car: "" if car == 1 else "7"]
-)
+@pytest.mark.parametrize("name_of", [lambda car: "", lambda car: "" if car == 1 else "7"])
 def test_detections_that_cannot_be_told_apart(tmp_path: Path, name_of: Callable) -> None:
     said = refused(write(tmp_path / "a.mcap", detections(every(0.1), name_of)), "/det")
     assert "nobody can be followed; give the messages of a tracker" in said
     assert not (tmp_path / "out.parquet").exists()
 
 
-@pytest.mark.parametrize("name_of", [str, lambda car: f"{car}.0", lambda car: f"track_{car}", lambda car: f" {car} "])
+@pytest.mark.parametrize("name_of", [lambda car: f"{car}.0", lambda car: f" track_{car} "])
 def test_ids_that_begin_at_0(tmp_path: Path, name_of: Callable) -> None:
     tracks, _ = converted(write(tmp_path / "a.mcap", detections(every(0.1), name_of)), "/det")
     check(tracks)
     assert tracks.length_m[0] == pytest.approx(LENGTH_M)
-
-
-def test_the_same_ids_on_two_topics_are_different_vehicles(tmp_path: Path) -> None:
-    feeds = [detections(every(0.1), lambda _: "5", [car], f"/sensor_{car}/det") for car in range(CARS)]
-    tracks, _ = converted(write(tmp_path / "a.mcap", *feeds), "/sensor_*/det")
-    assert tracks.runs == CARS
-    assert sorted(float(tracks.s_m[k]) for k in tracks.start[:-1]) == pytest.approx(
-        [at(2, 0), at(1, 0), at(0, 0)], abs=0.02
-    )
-
-
-def test_ids_that_are_new_in_each_message(tmp_path: Path) -> None:
-    """A detector that numbers all that it finds: nobody is seen twice."""
-    feed = []
-    for k, t in enumerate(every(0.1).tolist()):
-        feed += detections(np.array([t]), lambda car, k=k: str(3 * k + car))
-    for options in ((), ("--period", 0.1)):
-        said = refused(write(tmp_path / "a.mcap", feed), "/det", *options)
-        assert "1203 ids are seen once or twice each" in said
-        assert "give the messages of a tracker" in said
-
-
-def test_objects_without_a_header_of_their_own(tmp_path: Path) -> None:
-    """Many detectors leave the headers of the objects empty: that of the message counts."""
-
-    def make(t: float) -> Callable[[Any], Any]:
-        each = [{"id": str(car), "bbox": {"center": place(at(car, t))}} for car in range(CARS)]
-        return lambda store: build(store, DETECTIONS, header=header(t, "map"), detections=each)
-
-    feed = [Recorded("/det", DETECTIONS, t + 0.05, make(t)) for t in every(0.1).tolist()]
-    tracks, said = converted(write(tmp_path / "a.mcap", feed), "/det", "--frame", "map")
-    check(tracks, unknown=0.001)
-    assert "log times" not in said
 
 
 def test_fields_of_another_version_are_named(tmp_path: Path) -> None:
@@ -340,23 +275,16 @@ def test_fields_of_another_version_are_named(tmp_path: Path) -> None:
     check(converted(bag, "/det", "--bridge", bridge)[0], unknown=0.001)
 
 
-def test_one_id_for_several_vehicles_in_separate_messages(tmp_path: Path) -> None:
-    feeds = [detections(every(0.1), lambda _: "5", [car]) for car in range(CARS)]
-    said = refused(write(tmp_path / "a.mcap", *feeds), "/det")
-    assert "one name stands for several vehicles" in said
-
-
 # --- order, files, compression
 
 
-@pytest.mark.parametrize("order", ["log", "topic", "back"])
 @pytest.mark.parametrize(
-    "options",
+    ("order", "options"),
     [
-        {"chunk_size": 8192},
-        {"chunk_size": 8192, "use_summary_offsets": False, "use_statistics": False, "repeat_channels": False},
-        {"use_chunking": False},
-        {"compression": CompressionType.LZ4, "index_types": 0},
+        ("topic", {"chunk_size": 8192}),
+        ("back", {"chunk_size": 8192, "use_summary_offsets": False, "use_statistics": False, "repeat_channels": False}),
+        ("back", {"use_chunking": False}),
+        ("topic", {"compression": CompressionType.LZ4, "index_types": 0}),
     ],
 )
 def test_order_in_the_file_does_not_matter(tmp_path: Path, order: str, options: dict[str, Any]) -> None:
@@ -468,12 +396,6 @@ def test_what_cannot_be_decoded_says_why(tmp_path: Path) -> None:
     assert "its definition (ros2msg) cannot be used; record the topic again" in said
 
 
-def test_topics_that_are_not_known_are_named(tmp_path: Path) -> None:
-    bag = write(tmp_path / "a.mcap", *(px4(car, 1e-6, 37.2) for car in range(CARS)))
-    assert f"/px4_0/fmu/out/vehicle_odometry is {PX4}" in refused(bag, "/px4_*/*/*/*")
-    assert "no topic /bus*; it has /px4_0/fmu/out/vehicle_odometry" in refused(bag, "/bus*")
-
-
 # --- frames
 
 
@@ -488,8 +410,7 @@ def from_ego(car: int, t: float, pose: Callable = ego) -> dict[str, Any]:
     return place(np.cos(yaw) * dx + np.sin(yaw) * dy, np.cos(yaw) * dy - np.sin(yaw) * dx, -yaw)
 
 
-@pytest.mark.parametrize("late_s", [0.002, 0.05, 0.3])
-@pytest.mark.parametrize("times", [every(0.1, -0.05), every(0.02, -0.01), every(0.1, -0.0371)])
+@pytest.mark.parametrize(("late_s", "times"), [(0.002, every(0.02, -0.01)), (0.3, every(0.1, -0.0371))])
 def test_transforms_are_interpolated(tmp_path: Path, times: Any, late_s: float) -> None:
     """Also where a sensor's place is told late and once, and the transforms are recorded later than what was seen."""
     sensor = transforms(np.array([5.0]), lambda _: (0.0, 0.0, 0.0), "base_link", "radar", topic="/tf_static")
@@ -500,15 +421,6 @@ def test_transforms_are_interpolated(tmp_path: Path, times: Any, late_s: float) 
     assert len(tracks) > 1190
     bag = write(tmp_path / "b.mcap", feeds[0], transforms(times, ego, child="radar"))
     assert "radar, which moves; give --frame, the frame of the centre line" in refused(bag, "/det")
-
-
-def test_transforms_with_a_hole(tmp_path: Path) -> None:
-    times = every(0.1, -0.05)
-    feeds = [detections(every(0.1), seen=from_ego, frame="base_link")]
-    feeds.append(transforms(times[(times < 10.0) | (times > 16.0)], ego))
-    tracks, said = converted(write(tmp_path / "a.mcap", *feeds), "/det", "--frame", "map")
-    check(tracks, within_m=0.03)
-    assert re.search(r"without a transform to the frame (18\d)", said)
 
 
 def test_positions_in_frames_of_their_own(tmp_path: Path) -> None:
@@ -592,7 +504,7 @@ def any_feed(rng: np.random.Generator) -> tuple[list[list[Recorded]], str, tuple
     return feeds, "/det", ("--frame", "map"), drop
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_any_mixture(tmp_path: Path, seed: int) -> None:
     rng = np.random.default_rng(seed)
     feeds, pattern, options, drop = any_feed(rng)
@@ -600,67 +512,6 @@ def test_any_mixture(tmp_path: Path, seed: int) -> None:
     tracks, _ = converted(write(tmp_path / "a.mcap", *feeds, style=style), pattern, *options)
     # the log times that count instead of stamps may be late by 0.08 s
     check(tracks, within_m=0.15 if pattern == "/det" or drop else 2.0, unknown=0.5 if drop else 0.05)
-
-
-# --- the cases that were handed over
-
-
-@pytest.mark.skipif(not CASES.is_dir(), reason="needs ../shared/cases")
-@pytest.mark.parametrize(
-    ("case", "pattern", "options"),
-    [
-        ("bag_rates_differ/rmix.mcap", ODOM, ()),
-        ("bag_rates_differ/r5.mcap", ODOM, ()),
-        ("bag_stamp_zero/stamp0.mcap", ODOM, ()),
-        ("bag_topic_after_topic/bytopic.mcap", ODOM, ()),
-        ("bag_topic_after_topic/ordered.mcap", ODOM, ()),
-        ("bag_definition_not_ros2msg/idl.mcap", ODOM, ()),
-        ("bag_definition_not_ros2msg/emptydef.mcap", ODOM, ()),
-        ("bag_definition_not_ros2msg/ros1.mcap", ODOM, ()),
-        ("bag_rosbag2_compression/msgmode_0.mcap", ODOM, ()),
-        ("bag_tf_not_interpolated/tf10.mcap", "/det", ("--frame", "map")),
-        ("bag_tf_not_interpolated/tflate.mcap", "/det", ("--frame", "map")),
-    ],
-)
-def test_cases_that_become_right(tmp_path: Path, case: str, pattern: str, options: tuple[str, ...]) -> None:
-    out = tmp_path / "out.parquet"
-    given = ("--odometry", pattern, "--centerline", (CASES / case).parent / "line.csv", *options)
-    code, said = sugiyama("convert", CASES / case, out, *given)
-    assert code == 0, said
-    tracks = read_tracks(out)
-    shares = leaders(tracks)
-    cars = sorted(shares)
-    assert cars == list(range(len(cars)))
-    assert shares[0] == {"free": 1.0}
-    assert all(shares[car] == {str(car - 1): 1.0} for car in cars[1:]), shares
-    if "tf" in case:
-        with np.load(CASES / "bag_tf_not_interpolated/truth.npz") as truth:
-            time_s, x_m = truth["t"], truth["x"]
-        for car in cars:
-            rows = slice(tracks.start[car], tracks.start[car + 1])
-            expected = np.interp(tracks.time_s[rows], time_s, x_m[:, car])
-            assert np.abs(tracks.s_m[rows] - expected).max() < 0.005
-
-
-@pytest.mark.skipif(not CASES.is_dir(), reason="needs ../shared/cases")
-def test_cases_that_are_refused(tmp_path: Path) -> None:
-    run = partial(sugiyama, "convert")
-    rest = ("--centerline", CASES / "bag_stamp_zero/line.csv", "--odometry")
-    code, said = run(CASES / "bag_detections_without_id/noid.mcap", tmp_path / "a.csv", *rest, "/det")
-    assert (code, "give the messages of a tracker" in said) == (2, True), said
-    pattern, mine = "/px4_*/fmu/out/vehicle_odometry", CASES / "bag_px4_microseconds"
-    code, said = run(mine / "px4.mcap", tmp_path / "a.csv", *rest, pattern, "--bridge", mine / "px4.yaml")
-    assert (code, "give `stamp_unit: us` in the bridge" in said) == (2, True), said
-    (tmp_path / "px4.yaml").write_text((mine / "px4.yaml").read_text() + "stamp_unit: us\n")
-    found = document(
-        "convert", mine / "px4.mcap", tmp_path / "a.csv", *rest, pattern, "--bridge", tmp_path / "px4.yaml"
-    )
-    assert (found["vehicles"], found["rows"]) == (3, 1203)
-    packed = CASES / "bag_rosbag2_compression/mcap_zstd"
-    assert sugiyama("info", packed)[0] == 0
-    assert "Subscribed to topic" in sugiyama("echo", packed, "/rosout")[1]
-    code, said = run(packed, tmp_path / "b.csv", *rest, "/*")
-    assert (code, "/rosout is rcl_interfaces/msg/Log" in said) == (2, True), said
 
 
 def test_a_directory_with_road_and_measured_is_a_recording(tmp_path: Path) -> None:

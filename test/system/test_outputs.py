@@ -1,21 +1,20 @@
 """Outputs and odd circumstances as a user meets them: one line and exit code 2, and no file is lost."""
 
-import contextlib
 import errno
 import os
 import resource
+import shutil
 import signal
-import socket
 import subprocess
 import sys
 import time
 from pathlib import Path
 
 import pytest
+from journeys.terminal import Said
 
 from sugiyama_ros import cli
 from sugiyama_ros.formats.mcap_reader import Bag
-from sugiyama_ros.nodes.base import environment
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
 SUGIYAMA = str(Path(sys.executable).with_name("sugiyama"))
@@ -30,26 +29,32 @@ def sugiyama(*arguments, **options):
 
 def refused(done, *words):
     """The command was refused with one line, which contains the words."""
-    said = done.stderr.decode()
-    assert (done.returncode, said.count("\n"), said[:7]) == (2, 1, "error: "), said
+    code, said = (done.code, done.err) if isinstance(done, Said) else (done.returncode, done.stderr.decode())
+    assert (code, said.count("\n"), said[:7]) == (2, 1, "error: "), said
     assert all(word in said for word in words), said
 
 
+@pytest.fixture(scope="module")
+def good(tmp_path_factory, forks):
+    """A table and a recording of the same drive."""
+    folder = tmp_path_factory.mktemp("good")
+    (folder / "good.csv").write_text(GOOD)
+    assert forks.run(folder, ["convert", "good.csv", "good.mcap", "--ring", "80"]).code == 0
+    return folder
+
+
 @pytest.fixture
-def here(tmp_path, monkeypatch):
+def here(tmp_path, monkeypatch, good):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "good.csv").write_text(GOOD)
-    assert sugiyama("convert", "good.csv", "good.mcap", "--ring", "80").returncode == 0
+    for file in good.iterdir():
+        shutil.copy(file, tmp_path)
     return tmp_path
 
 
-def free_ports(count):
-    """Ports that nothing holds at the moment, as texts."""
-    with contextlib.ExitStack() as stack:
-        probes = [stack.enter_context(socket.socket()) for _ in range(count)]
-        for probe in probes:
-            probe.bind(("127.0.0.1", 0))
-        return [str(probe.getsockname()[1]) for probe in probes]
+@pytest.fixture
+def forked(here, forks):
+    """Run a command in a child of a process that has loaded everything."""
+    return lambda *arguments: forks.run(here, arguments)
 
 
 #: Commands that write, with the name of their output.
@@ -68,15 +73,13 @@ WRITE = {
 
 
 @pytest.mark.parametrize("command", WRITE)
-def test_an_existing_output_is_refused_before_the_work_begins(here, command):
+def test_an_existing_output_is_refused(here, forked, command):
     output = here / next(word for word in WRITE[command] if word.startswith("out."))
     output.write_bytes(OLD)
-    began = time.monotonic()
-    refused(sugiyama(*WRITE[command]), output.name, "exists already", "--overwrite")
-    assert time.monotonic() - began < 20
+    refused(forked(*WRITE[command]), output.name, "exists already", "--overwrite")
     output.unlink()
     os.mkfifo(output)
-    refused(sugiyama(*WRITE[command], "--overwrite"), output.name, "is a pipe")
+    refused(forked(*WRITE[command], "--overwrite"), output.name, "is a pipe")
     assert output.is_fifo()
 
 
@@ -93,27 +96,24 @@ def test_an_existing_output_is_refused_before_the_work_begins(here, command):
         ("recover", "good.mcap", "-o", "good.mcap"),
     ],
 )
-def test_an_input_is_never_replaced(here, arguments):
+def test_an_input_is_never_replaced(here, forked, arguments):
     before = (here / "good.mcap").read_bytes()
     (here / "link.html").hardlink_to(here / "good.mcap")
-    refused(sugiyama(*arguments, "--overwrite"), "also read by this command")
+    refused(forked(*arguments, "--overwrite"), "also read by this command")
     assert ((here / "good.mcap").read_bytes(), (here / "good.csv").read_text()) == (before, GOOD)
 
 
-def test_overwrite_replaces_and_a_part_of_somebody_stays(here):
+def test_overwrite_replaces_and_a_part_of_somebody_stays(here, forked):
     (here / "out.csv.part").write_bytes(OLD)
     for overwrite in ((), ("--overwrite",)):
-        assert sugiyama("simulate", "-o", "out.csv", "--duration", "5", *overwrite).returncode == 0
+        assert forked("simulate", "-o", "out.csv", "--duration", "5", *overwrite).code == 0
     assert (here / "out.csv.part").read_bytes() == OLD
     assert not list(here.glob("out.csv.*.part"))
 
 
-@pytest.mark.parametrize("mode", [(), ("--json",)])
-def test_an_interrupted_run_ends_with_130_and_a_whole_file(here, mode):
-    assert (
-        sugiyama("simulate", "-o", "long.mcap", "--vehicles", "3", "--ring", "60", "--duration", "100").returncode == 0
-    )
-    command = [SUGIYAMA, "run", "long.mcap", "-o", "out.mcap", "--rate", "4", *mode]
+def test_an_interrupted_run_ends_with_130_and_a_whole_file(here, forked):
+    assert forked("simulate", "-o", "long.mcap", "--vehicles", "3", "--ring", "60", "--duration", "100").code == 0
+    command = [SUGIYAMA, "run", "long.mcap", "-o", "out.mcap", "--rate", "4", "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
         while not any(part.stat().st_size > 3000 for part in here.glob("out.mcap.*.part")):
             assert running.poll() is None, running.stderr.read()
@@ -126,7 +126,7 @@ def test_an_interrupted_run_ends_with_130_and_a_whole_file(here, mode):
         assert bag.info().messages > 0
 
 
-@pytest.mark.parametrize("after_s", [0.15, 0.4, 1.0])
+@pytest.mark.parametrize("after_s", [0.15, 1.0])
 def test_ctrl_c_while_a_command_is_loaded_ends_it_with_130(here, after_s):
     # a shell that runs the tests in the background has them ignore Ctrl-C, which programs that they start inherit
     command = [SUGIYAMA, "simulate", "--duration", "1e5", "-o", "out.mcap"]
@@ -172,12 +172,10 @@ def test_a_full_stdout_is_one_line(here):
             refused(sugiyama(*arguments, stdout=full, stderr=subprocess.PIPE, capture_output=False), "No space left")
 
 
-@pytest.mark.parametrize("unbuffered", ["", "1"])
-def test_a_full_stderr_does_not_change_the_exit_code(here, unbuffered):
-    environment = os.environ | {"PYTHONUNBUFFERED": unbuffered}
+def test_a_full_stderr_does_not_change_the_exit_code(here):
     for arguments in (("info", "missing.csv"), ("fetch", "sugiyama2008"), ("no_such_command",)):
         with Path("/dev/full").open("wb") as full:
-            done = sugiyama(*arguments, stdout=full, stderr=full, capture_output=False, env=environment)
+            done = sugiyama(*arguments, stdout=full, stderr=full, capture_output=False)
             assert done.returncode == 2
 
 
@@ -190,12 +188,12 @@ def test_a_closed_stdout_is_no_error_and_no_file_takes_its_place(here):
 
 
 def test_a_terminal_without_unicode_is_no_error(here):
-    environment = os.environ | {"PYTHONIOENCODING": "ascii", "LC_ALL": "C"}
+    ascii_only = os.environ | {"PYTHONIOENCODING": "ascii", "LC_ALL": "C"}
     (here / "Straße.csv").write_text(GOOD)
-    done = sugiyama("convert", "Straße.csv", "Straße.mcap", env=environment)
+    done = sugiyama("convert", "Straße.csv", "Straße.mcap", env=ascii_only)
     assert done.returncode == 0, done.stderr
     assert b"Stra\\xdfe.mcap" in done.stdout
-    assert sugiyama("info", "Straße.mcap", env=environment).returncode == 0
+    assert sugiyama("info", "Straße.mcap", env=ascii_only).returncode == 0
 
 
 def test_names_that_are_not_utf8(here):
@@ -208,11 +206,11 @@ def test_names_that_are_not_utf8(here):
 
 
 @pytest.mark.parametrize("name", ["", ".", "/", "x" * 300 + ".mcap", "good.csv/out.mcap", "missing/out.mcap"])
-def test_odd_paths(here, name):
-    refused(sugiyama("convert", "good.csv", name))
+def test_odd_paths(here, forked, name):
+    refused(forked("convert", "good.csv", name))
     if name not in ("", "."):  # this folder has a file of trajectories, so it can be read
-        refused(sugiyama("convert", name, "out.mcap"))
-        refused(sugiyama("info", name))
+        refused(forked("convert", name, "out.mcap"))
+        refused(forked("info", name))
     assert sorted(p.name for p in here.iterdir()) == ["good.csv", "good.mcap"]
 
 
@@ -225,23 +223,21 @@ def test_odd_paths(here, name):
         ("--effect", "external_push:strength=1"),
     ],
 )
-def test_simulations_without_end_or_sense_are_refused(here, arguments):
-    refused(sugiyama("simulate", "-o", "out.mcap", *arguments))
+def test_simulations_without_end_or_sense_are_refused(here, forked, arguments):
+    refused(forked("simulate", "-o", "out.mcap", *arguments))
     assert not (here / "out.mcap").exists()
 
 
-def test_a_value_that_no_node_takes_is_one_line(here):
-    refused(
-        sugiyama("run", "--simulate", "-o", "out.mcap", "--vehicles", "2", "--seed", str(2**31)), "seed out of range"
-    )
+def test_a_value_that_no_node_takes_is_one_line(here, forked):
+    refused(forked("run", "--simulate", "-o", "out.mcap", "--vehicles", "2", "--seed", str(2**31)), "seed out of range")
     assert not list(here.glob("out.*"))
 
 
 @pytest.mark.parametrize("option", ["--model", "--diagnosis"])
-def test_a_pipe_as_a_document_is_refused(here, option):
+def test_a_pipe_as_a_document_is_refused(here, forked, option):
     os.mkfifo(here / "pipe")
     command = ("run", "good.mcap", "-o", "out.mcap") if option == "--model" else ("report", "good.mcap")
-    refused(sugiyama(*command, option, "pipe"), "not a regular file")
+    refused(forked(*command, option, "pipe"), "not a regular file")
 
 
 def test_an_error_under_a_limit_of_memory_is_one_line(here):
@@ -255,8 +251,8 @@ def test_an_error_under_a_limit_of_memory_is_one_line(here):
     assert b"calibrate" in sugiyama("--help", preexec_fn=within(500)).stdout
 
 
-@pytest.mark.parametrize("error", [ImportError("failed to map segment"), OSError("no library"), RuntimeError("thread")])
-def test_errors_of_libraries_are_those_of_the_memory_only_under_a_limit(monkeypatch, error):
+def test_errors_of_libraries_are_those_of_the_memory_only_under_a_limit(monkeypatch):
+    error = ImportError("failed to map segment")
     assert cli._cause_outside(error) is None
     monkeypatch.setattr(cli, "limit_bytes", lambda: 2 << 30)
     said = cli._cause_outside(error)
@@ -271,29 +267,3 @@ def test_another_interruption_while_the_interpreter_ends_is_silent():
     code += "import sys; sys.argv = ['sugiyama', '--version']\nfrom sugiyama_ros.cli import main; main()"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=60, check=False)
     assert (done.returncode, done.stderr) == (-signal.SIGINT, b"")
-
-
-@pytest.mark.slow
-def test_a_live_page_whose_source_fails_ends_with_one_line(here, monkeypatch):
-    """Two replays in one domain: the page of the second ends, and the first goes on."""
-    monkeypatch.setenv("ROS_DOMAIN_ID", "")
-    monkeypatch.delenv("ROS_DOMAIN_ID")
-    environment.isolate()
-    one, other = free_ports(2)
-    first = subprocess.Popen(
-        [SUGIYAMA, "live", "good.mcap", "-o", "first.mcap", "--port", one, "--rate", "0.2"],
-        stderr=subprocess.PIPE,
-    )
-    try:
-        assert b"starting" in first.stderr.readline()
-        assert one.encode() in first.stderr.readline()
-        time.sleep(3.5)  # a source looks for another one for so long
-        second = sugiyama("live", "good.mcap", "-o", "second.mcap", "--port", other)
-        assert second.returncode == 2
-        assert b"error: /measured: another node publishes it already" in second.stderr
-        assert b"Traceback" not in second.stderr
-        assert first.poll() is None
-    finally:
-        first.send_signal(signal.SIGINT)
-        assert first.wait(60) == 0
-        first.stderr.close()

@@ -14,7 +14,6 @@ from xml.etree import ElementTree
 import pytest
 
 ROOT = Path(__file__).parents[2]
-COLCON = "colcon-common-extensions==0.3.0"
 NODES = ("critic", "drivers", "keeper", "recorder", "replay", "simulator", "tracks")
 PROGRAMS = {"sugiyama", *(f"sugiyama_{node}" for node in NODES)}
 INTERFACES = sorted([*ROOT.glob("msg_defs/msg/*.msg"), *ROOT.glob("msg_defs/srv/*.srv")])
@@ -132,39 +131,3 @@ def test_make_without_a_usable_python_says_so_in_one_line(tmp_path: Path) -> Non
     assert error == "error: python-of-nobody not found; choose Python 3.10-3.13 with PYTHON="
     assert of_make.startswith("make: ***")
     assert not (tmp_path / ".venv").exists()
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(900)
-def test_colcon_builds_both_packages(tmp_path: Path) -> None:
-    """The wheels, in an environment of their own, stand for /opt/ros."""
-    ros = tmp_path / "ros"
-    source = copy_of_the_tree(tmp_path / "src" / "sugiyama_ros")
-    env = {"PATH": f"{ros}/bin:{os.environ['PATH']}", "CMAKE_PREFIX_PATH": str(ros), "AMENT_PREFIX_PATH": str(ros)}
-    headers = ["--cmake-args", "-DCMAKE_PROJECT_INCLUDE=ros_wheels.cmake"]
-    commands: tuple[list[str | Path], ...] = (
-        [sys.executable, "-m", "venv", ros],
-        [ros / "bin/python", "-m", "pip", "install", "--quiet", "-r", source / "requirements.txt"],
-        [ros / "bin/python", "-m", "pip", "install", "--quiet", COLCON],
-        [ros / "bin/colcon", "build", "--base-paths", "src", source / "msg_defs", *headers],
-    )
-    for command in commands:
-        done = run(*command, cwd=tmp_path, env=env)
-        assert done.returncode == 0, done.stdout + done.stderr
-
-    programs = tmp_path / "install/sugiyama_ros/lib/sugiyama_ros"
-    assert {path.name for path in programs.iterdir()} == PROGRAMS
-    ask = (
-        "from ament_index_python.packages import get_package_share_directory as share\n"
-        "from rclpy.serialization import deserialize_message, serialize_message\n"
-        "from sugiyama_msgs.msg import Road\n"
-        "print(deserialize_message(serialize_message(Road(circumference_m=230.0)), Road).circumference_m)\n"
-        "print(share('sugiyama_ros'))\n"
-    )
-    script = 'source install/setup.bash && python -c "$1" && "$2" --help'
-    told = run("bash", "-c", script, "bash", ask, programs / "sugiyama", cwd=tmp_path, env=env)
-    assert told.returncode == 0, told.stdout + told.stderr
-    circumference, share = told.stdout.splitlines()[:2]
-    assert circumference == "230.0"
-    assert Path(share) == tmp_path / "install/sugiyama_ros/share/sugiyama_ros"
-    assert all((Path(share) / place).is_file() for place in shared_files())

@@ -43,22 +43,8 @@ ORDER = (
 SMALL = {"interrupts", "progress", "plugins", "results"}
 #: Rooms that may import only these rooms, whatever the order allows.
 ALONE = {
-    "page": set(
-        [
-            "arrays",
-            "diagnosis",
-            "driver",
-            "effects",
-            "files",
-            "fit",
-            "formats",
-            "laws",
-            "progress",
-            "results",
-            "road",
-            "trajectories",
-        ]
-    ),
+    "page": {"arrays", "diagnosis", "driver", "effects", "files", "fit", "formats", "laws", "progress", "results"}
+    | {"road", "trajectories"},
     "__init__": {"api", "effects", "laws"},
 }
 #: Rooms whose results make words when they are shown: from these rooms, imported only then.
@@ -88,19 +74,19 @@ def imported(path: Path, *, at_once: bool = False) -> set[str]:
     return names
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_imports_run_one_way(path: Path) -> None:
-    here = room(path)
-    rooms = {name.split(".")[1] for name in imported(path) if name.startswith("sugiyama_ros.")}
-    allowed = ALONE[here] if here in ALONE else set(ORDER[: ORDER.index(here)]) if here in ORDER else set()
-    assert rooms - {here, "errors"} - SHOWN_BY.get(here, set()) <= allowed
-    early = {name.split(".")[1] for name in imported(path, at_once=True) if name.startswith("sugiyama_ros.")}
-    assert not early & SHOWN_BY.get(here, set())
+def test_imports_run_one_way() -> None:
+    for path in FILES:
+        here = room(path)
+        rooms = {name.split(".")[1] for name in imported(path) if name.startswith("sugiyama_ros.")}
+        allowed = ALONE[here] if here in ALONE else set(ORDER[: ORDER.index(here)]) if here in ORDER else set()
+        assert rooms - {here, "errors"} - SHOWN_BY.get(here, set()) <= allowed, path
+        early = {name.split(".")[1] for name in imported(path, at_once=True) if name.startswith("sugiyama_ros.")}
+        assert not early & SHOWN_BY.get(here, set()), path
 
 
-@pytest.mark.parametrize("path", [p for p in FILES if room(p) != "nodes"], ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_only_nodes_import_ros(path: Path) -> None:
-    assert not {name.split(".")[0] for name in imported(path)} & ROS
+def test_only_nodes_import_ros() -> None:
+    for path in FILES:
+        assert room(path) == "nodes" or not {name.split(".")[0] for name in imported(path)} & ROS, path
 
 
 def test_the_architecture_section_names_every_room() -> None:
@@ -136,16 +122,15 @@ def is_kernel(function: ast.FunctionDef | ast.AsyncFunctionDef) -> bool:
     return any(isinstance(name, ast.Name) and name.id == "kernel" for name in names)
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_files_and_functions_are_short(path: Path) -> None:
-    text = path.read_text()
-    length = len(text.splitlines())
-    assert length <= LINES_OF_A_FILE
-    for function in functions(ast.parse(text)):
-        lines, arguments = size_of(function)
-        most_lines, most_arguments = LIMITS_OF_KERNELS if is_kernel(function) else LIMITS
-        assert lines <= most_lines, f"{function.name} has {lines} lines"
-        assert arguments <= most_arguments, f"{function.name} has {arguments} arguments"
+def test_files_and_functions_are_short() -> None:
+    for path in FILES:
+        text = path.read_text()
+        assert len(text.splitlines()) <= LINES_OF_A_FILE, path
+        for function in functions(ast.parse(text)):
+            lines, arguments = size_of(function)
+            most_lines, most_arguments = LIMITS_OF_KERNELS if is_kernel(function) else LIMITS
+            assert lines <= most_lines, f"{path}: {function.name} has {lines} lines"
+            assert arguments <= most_arguments, f"{path}: {function.name} has {arguments} arguments"
 
 
 def named_numbers(tree: ast.Module) -> Iterator[str]:

@@ -1,17 +1,13 @@
 """The benchmark away from home: its own driver model and laws against the package's, and what it calls right."""
 
-import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from benchmarks.away.__main__ import _read, _write
-from benchmarks.away.cases import PARTS, Case, cases, recorded
 from benchmarks.away.drivers import LAW_MEANS, Sight, drawn, followers, law_action, noises
 from benchmarks.away.drivers import mean_action as mean_again
-from benchmarks.away.judged import Judged, report
-from benchmarks.away.world import History, Setup, drive
+from benchmarks.away.judged import Judged
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, at_period, defaults, horizon_at
 from sugiyama_ros.driver.utility import ACTIONS, mean_action
 from sugiyama_ros.laws.registry import LAWS
@@ -27,7 +23,7 @@ def views(rng):
     return Sight(0.0, zero, speed, zero, zero, gap, other, zero, gap, other, gap, other)
 
 
-@pytest.mark.parametrize("period", [0.1, 1.0 / 3.0, 0.5, 1.0])
+@pytest.mark.parametrize("period", [0.1, 1.0])
 def test_both_driver_models_agree(period):
     rng = np.random.default_rng(1)
     view, people = views(rng), drawn(COUNT, rng)
@@ -53,43 +49,6 @@ def test_both_implementations_of_a_law_agree(name):
         for *at, p in zip(view.gap, view.speed, view.leader_speed, people.values, strict=True)
     ]
     assert law_action(view, people)[moving] == pytest.approx(np.array(package)[moving], abs=1e-9)
-
-
-def test_the_past_lies_between_samples():
-    zero = np.zeros(2)
-    seen = [Sight(k / 3.0, *[zero + k] * 11) for k in range(4)]
-    moment = History(Setup(), seen)
-    assert moment.ago(0.0).gap == pytest.approx([3.0, 3.0])
-    assert moment.ago(0.5).gap == pytest.approx([1.5, 1.5])
-    assert moment.ago(99.0).gap == pytest.approx([0.0, 0.0])
-
-
-def test_cases_have_one_name_each_and_every_part_has_some():
-    known = [case.name for part in PARTS for case in cases(part) if part != "few"]
-    assert len(known) == len(set(known))
-    assert len(cases("forms")) >= 12
-    assert len(cases("laws")) == 6
-
-
-def test_two_recordings_of_the_same_drivers():
-    case = Case("few", "three", Setup(drivers=6, ring_m=80.0, duration_s=20.0), cases("few")[1].builders, few=2)
-    pair = recorded(case, "strong", 3)
-    assert pair.first.position_m.shape == pair.second.position_m.shape == (61, 6)
-    assert not np.array_equal(pair.first.position_m, pair.second.position_m)
-    assert len(pair.who) == 2
-    assert np.array_equal(recorded(case, "strong", 3).first.position_m, pair.first.position_m)
-
-
-def test_what_a_few_drivers_do_the_others_do_not():
-    """With the same noise, the drivers behave alike until what the few do reaches them."""
-    setup, rng = Setup(drivers=6, ring_m=80.0, duration_s=4.0), np.random.default_rng(5)
-    people = drawn(6, rng)
-    for case in cases("few"):
-        hidden = case.builders[0](2.5, setup, np.random.default_rng(6)).hidden
-        one = replace(hidden, who=np.arange(6) == 2)
-        alone, nobody = (drive(setup, people, some, np.random.default_rng(7), True) for some in ([one], []))
-        same = np.abs(alone[:3] - nobody[:3]).max(axis=0) == 0.0
-        assert same[[0, 1, 3, 4, 5]].all(), case.name
 
 
 def row(**changes):
@@ -139,13 +98,3 @@ def test_what_counts_as_right():
     few = row(part="few", vehicles=(1, 2), named=("second_leader",))
     assert not few.is_right
     assert replace(few, who=(1, 2, 5)).is_right
-
-
-def test_rows_are_kept_and_read_again(tmp_path):
-    rows = [row(), row(seed=2, part="conditions", named=())]
-    _write(rows, tmp_path / "rows.jsonl")
-    assert _read(tmp_path / "rows.jsonl") == rows
-    assert json.loads((tmp_path / "rows.jsonl").read_text().splitlines()[0]) == json.loads(json.dumps(asdict(rows[0])))
-    text = report(rows)
-    assert "| forms | 1 | 1 of 1 |" in text
-    assert "within two standard errors: 1 of 1" in text

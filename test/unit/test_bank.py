@@ -54,15 +54,6 @@ def test_a_slope_of_the_road_is_named_and_its_strength_is_fitted():
     assert known.names[int(known.weights.argmax())] == BASE
 
 
-def test_a_place_between_those_where_the_bank_begins_is_found():
-    truth = {"reduction": 0.3, "centre": 45.0, "width": 30.0}
-    bank, _ = judged({"slow_patch": truth})
-    assert {v["centre"] for v in variants_of("slow_patch", Road(RING_M))} == {7.5, 22.5, 37.5, 52.5}
-    # with the places where it begins, the patch gains nothing here
-    assert bank.gains[bank.names.index("slow_patch")] > 50.0
-    assert bank.fitted["slow_patch"] == pytest.approx(truth, rel=0.2)
-
-
 def test_without_an_effect_the_base_model_leads_and_this_gets_settled():
     bank, settled = judged({}, seconds=150.0)
     assert bank.names[int(bank.weights.argmax())] == BASE

@@ -14,7 +14,6 @@ from sugiyama_ros.bridges.bridge import BRIDGES, read_bridge, yaw
 from sugiyama_ros.bridges.frames import EARLY, Frames
 from sugiyama_ros.bridges.perception import Moments, Numbers, Perception, PerceptionSettings, RoadMoment
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.mcap_reader import bag_files
 from sugiyama_ros.trajectories.centre_line import CentreLine, RoadLanes
 from sugiyama_ros.trajectories.placing import Placer, SeenVehicle
 
@@ -166,20 +165,6 @@ def test_frames_against_closed_forms() -> None:
     assert frames.brought(at(2_500_000_000, frame="elsewhere"), "map") is EARLY
 
 
-def test_transforms_are_not_interpolated_over_a_hole() -> None:
-    frames = Frames()
-    for time_s in (1.0, 1.1, 1.2, 1.3, 4.0):
-        frames.add(transform("map", "car", time_s, time_s, 0.0, 0.0), static=False)
-    seen = [frames.brought(SeenVehicle(round(t * 1e9), "a", 0.0, 0.0, frame="car"), "map") for t in (1.25, 1.3, 2.0)]
-    assert [one.x_m if isinstance(one, SeenVehicle) else one for one in seen] == [pytest.approx(1.25), 1.3, None]
-    seldom = Frames()
-    for time_s in (0.0, 5.0, 10.0, 15.0):  # a frame that is corrected every 5 s
-        seldom.add(transform("map", "odom", time_s, time_s, 0.0, 0.0), static=False)
-    found = seldom.brought(SeenVehicle(12_500_000_000, "a", 0.0, 0.0, frame="odom"), "map")
-    assert isinstance(found, SeenVehicle)
-    assert found.x_m == pytest.approx(12.5)
-
-
 def road() -> Moments:
     line = CentreLine(np.array([0.0, 1000.0]), np.zeros(2))
     return Moments(Placer(RoadLanes(["0"], [line], [3.5])), 0.1)
@@ -237,23 +222,6 @@ def test_numbers_of_vehicles() -> None:
     numbers = Numbers()
     names = ("/car7/odom", "bus", "/van7/odom", "/car3/odom", "", "bus", "/det 5.0", "/det 0", None)
     assert [numbers(name) for name in names] == [7, 8, 9, 3, -1, 8, 5, 0, -2]
-
-
-def test_directories_of_rosbag2(tmp_path: Path) -> None:
-    about = "rosbag2_bagfile_information:\n  storage_identifier: {}\n  relative_file_paths: [b_0.mcap, b_1.mcap]\n"
-    (tmp_path / "metadata.yaml").write_text(about.format("mcap"))
-    assert bag_files(tmp_path) == [tmp_path / "b_0.mcap", tmp_path / "b_1.mcap"]
-    assert bag_files(tmp_path / "b_0.mcap") == [tmp_path / "b_0.mcap"]
-    for text, why in ((about.format("sqlite3"), "not mcap"), ("a: 1\n", "is not of a bag")):
-        (tmp_path / "metadata.yaml").write_text(text)
-        with pytest.raises(InputError, match=why):
-            bag_files(tmp_path)
-
-
-@pytest.mark.parametrize("settings", [{"period_s": math.nan}, {"period_s": 0.0}, {"length_m": -1.0}])
-def test_settings_with_which_nobody_can_be_followed(settings: dict[str, float]) -> None:
-    with pytest.raises(InputError, match=r"is not"):
-        PerceptionSettings(**settings)
 
 
 def perceived(frame: str = "") -> Perception:

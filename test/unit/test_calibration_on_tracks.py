@@ -1,21 +1,17 @@
 """Calibration on tracks: the same model as on a ring, for vehicles that come and go."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import sugiyama_ros as sg
-from sugiyama_ros.calibration.on_tracks import DriversAhead, calibrate_tracks
-from sugiyama_ros.cli.app import app
-from sugiyama_ros.driver.parameters import V_STAR, population
+from sugiyama_ros.calibration.on_tracks import calibrate_tracks
+from sugiyama_ros.driver.parameters import V_STAR
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.fit.driver import Fit
-from sugiyama_ros.fit.stretched import LEAST_FOLLOWING_S, followers
+from sugiyama_ros.fit.stretched import LEAST_FOLLOWING_S
 from sugiyama_ros.trajectories.labels import labels_of
 from sugiyama_ros.trajectories.one_lane import tracks_of
-from sugiyama_ros.trajectories.time_base import on_time_base
 
 
 @pytest.fixture(scope="module")
@@ -58,52 +54,6 @@ def test_drivers_who_follow_for_a_short_time_are_left_out(tracks):
         calibrate_tracks(tracks.select(leaves))
 
 
-def test_drivers_ahead_have_their_own_parameters_or_those_of_their_class(tracks):
-    kind = np.where(np.asarray(tracks.run) % 2 == 0, "truck", "car")
-    tracks = on_time_base(replace(tracks, vehicle_class=labels_of(kind.tolist())))
-    (zero, one, *_) = drivers = followers(tracks).enough
-    typical = population()
-    fits = [_fit(typical + k) for k in range(len(drivers))]
-    ahead = DriversAhead(tracks, typical)
-    np.testing.assert_array_equal(ahead(zero)[0], np.tile(typical, (2, 1)))
-    # vehicles 1 and 2 are ahead of vehicle 0
-    ahead = ahead.of(drivers[:2], fits[:2], ["v_star"])
-    np.testing.assert_array_equal(ahead(zero)[0][0], typical + 1)
-    of_class = typical.copy()
-    of_class[V_STAR] = fits[0].parameters[V_STAR]
-    np.testing.assert_array_equal(ahead(one)[0][0], of_class, "vehicle 2 is a truck, as vehicle 0 is")
-    np.testing.assert_array_equal(ahead.of_class("bus")[V_STAR], np.median([f.parameters[V_STAR] for f in fits[:2]]))
-
-
-def _fit(parameters):
-    std = np.full(len(parameters), 0.01)
-    return Fit(0, parameters, 0.0, std, (), np.stack([parameters - 1.0, parameters + 1.0], axis=1))
-
-
-def test_intervals_may_come_from_the_profile(tracks):
-    some = tracks.select(np.asarray(tracks.time_s) < tracks.time_s[0] + 40.0)
-    plain, profiled = (calibrate_tracks(some, ["v_star"], profiled=one) for one in (False, True))
-    for one, other in zip(plain.document(0.0)["drivers"], profiled.document(0.0)["drivers"], strict=True):
-        assert one["v_star"] == other["v_star"]
-        low, high = other["interval"]["v_star"]
-        assert low < one["v_star"] < (np.inf if high is None else high)
-        assert one["interval"]["v_star"] != other["interval"]["v_star"]
-    assert any(" to " in cell for row in profiled.table().rows for cell in row)
-    assert not any(" to " in cell for row in plain.table().rows for cell in row)
-
-
-def test_a_class_without_an_identified_parameter_has_no_median(tracks):
-    found = calibrate_tracks(tracks, ["sigma_nu", "v_star"])
-    unknown = {
-        name: tuple(dict.fromkeys(one, value) for one in found.std)
-        for name, value in (("std", np.inf), ("identified", False))
-    }
-    document = replace(found, **unknown).document(0.0)
-    assert document["classes"] == {"": {"sigma_nu": None, "v_star": None}}
-    assert document["drivers"][0]["std"] == {"sigma_nu": None, "v_star": None}
-    json.dumps(document, allow_nan=False)
-
-
 def test_classes_are_told_apart_by_their_leaders(tracks):
     kind = np.where(np.asarray(tracks.run) % 2 == 0, "truck", "car")
     found = calibrate_tracks(replace(tracks, vehicle_class=labels_of(kind.tolist())), ["v_star"])
@@ -116,13 +66,3 @@ def test_classes_are_told_apart_by_their_leaders(tracks):
     ]
     assert [one["leader_class"] for one in found.document(0.0)["class_pairs"]] == ["truck", "car", "truck"]
     assert [row[1] for row in found.table().rows[5:]] == ["car", "truck", *(one.shown for one in found.pairs)]
-
-
-def test_the_command_calibrates_tracks(tracks, tmp_path, capsys):
-    tracks.save(tmp_path / "tracks.parquet")
-    app(["calibrate", str(tmp_path / "tracks.parquet"), "--json"], standalone_mode=False)
-    found = json.loads(capsys.readouterr().out)
-    assert [d["identified"]["v_star"] for d in found["drivers"]].count(True) >= 3
-    assert {"recording", "vehicle", "class", "stretches", "following_s", "v_star", "nis", "std"} <= set(
-        found["drivers"][0]
-    )

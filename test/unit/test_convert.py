@@ -13,16 +13,6 @@ from sugiyama_ros import cli
 from sugiyama_ros.formats.registry import read_tracks, read_trajectories
 
 Run = Callable[..., tuple[int, str, str]]
-DATA = Path(__file__).parents[3] / "shared/data"
-MEASURED = (
-    "fhwa_hv_pairs",
-    "fhwa_hv_pairs/run-3-veh-71-pair-297.csv",
-    "hefei_platoon",
-    "hefei_platoon/dataVehicle101.txt",
-    "ngsim_i80_pairs/ngsim_i80_pairs.parquet",
-    "openacc_zala/handling_part35.csv",
-    "sugiyama2008_mstf/case1.data",
-)
 
 
 @pytest.fixture
@@ -154,14 +144,3 @@ def test_refusals_are_one_line(sugiyama: Run, two_lanes: Path, arguments: tuple[
     assert err.count("\n") == 1
     assert said in err
     assert [file.name for file in sorted(two_lanes.parent.iterdir())] == ["two.csv"]
-
-
-@pytest.mark.parametrize("name", MEASURED)
-def test_measured_files(sugiyama: Run, tmp_path: Path, name: str) -> None:
-    if not (DATA / name).exists():
-        pytest.skip("needs the measured data")
-    code, out, err = sugiyama("convert", DATA / name, tmp_path / "a.parquet")
-    assert (code, err) == (0, "")
-    assert "warning" not in out
-    told, again = sugiyama("info", DATA / name)[1], sugiyama("info", tmp_path / "a.parquet")[1]
-    assert told.splitlines()[2:] == again.splitlines()[2:]

@@ -14,7 +14,6 @@ from sugiyama_ros.fit.driver import calibrate
 from sugiyama_ros.fit.joint import fit_base
 from sugiyama_ros.fit.recording import prepare
 from sugiyama_ros.fit.smooth_positions import divided, measured
-from sugiyama_ros.fit.stretched import prepared
 from sugiyama_ros.trajectories.one_lane import tracks_of
 
 
@@ -59,17 +58,6 @@ def test_a_divided_recording_is_the_recording_where_somebody_is_measured():
     assert finer.period_s == pytest.approx(recording.period_s / 3)
     assert np.isnan(finer.position_m[1::3]).all()
     np.testing.assert_array_equal(measured(finer).position_m, recording.position_m)
-
-
-def test_tracks_are_divided_like_the_same_whole_road(work):
-    recording = _seen(1.0 / 3.0, 3)
-    road, tracks = prepared(recording), prepared(tracks_of(recording))
-    assert (tracks.decisions, tracks.every, tracks.vicinity.period_s) == (3, 3, pytest.approx(1.0 / 3.0))
-    assert all(np.isnan(chain.position_m[1::3]).all() for chain in tracks.chains)
-    of_road, of_tracks = (fit_base(d, d.even.individual(V_STAR, KAPPA_V), work) for d in (road, tracks))
-    assert of_tracks.log_likelihood == pytest.approx(of_road.log_likelihood, abs=5.0)
-    # both searches end within 0.5 nats of a driver's maximum, some hundredths of a std away
-    np.testing.assert_allclose(of_tracks.model.rows[:, KAPPA_V], of_road.model.rows[:, KAPPA_V], rtol=0.1)
 
 
 def test_single_drivers_are_calibrated_with_the_decisions_between_their_samples():

@@ -43,11 +43,6 @@ def test_a_model_file_keeps_the_law(delayed, tmp_path):
     assert rows[:, ROW.law_places["idm"]] == pytest.approx(fitted[:, ROW.law_places["idm"]])
 
 
-def test_nothing_is_missing_from_drivers_of_the_idm():
-    found = sg.diagnose(followers(8, 0.0, 5), law="idm")
-    assert not found.final.added
-
-
 def test_what_is_added_by_name_competes_with_its_other_forms_and_claims_no_more():
     found = sg.diagnose(followers(8, 0.5, 6, "reaction_delay_all"), law="idm", add=["reaction_delay"])
     names = {e.name for e in found.rounds[0].entries}

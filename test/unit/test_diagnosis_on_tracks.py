@@ -9,15 +9,13 @@ import pytest
 import sugiyama_ros as sg
 from sugiyama_ros.cli.app import app
 from sugiyama_ros.diagnosis.candidates import candidates, not_searched
-from sugiyama_ros.diagnosis.compare import compare
 from sugiyama_ros.diagnosis.forecast import forecasts, surroundings
 from sugiyama_ros.diagnosis.table import errors
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import FOLDS, prepare
-from sugiyama_ros.fit.score import evaluate, filtered_states
-from sugiyama_ros.fit.simulated import resample, seeds
+from sugiyama_ros.fit.score import evaluate
 from sugiyama_ros.fit.stretched import LEAST_FOLLOWING_S, prepare_tracks
 from sugiyama_ros.trajectories.assemble import assemble
 from sugiyama_ros.trajectories.one_lane import tracks_of, whole_road
@@ -84,36 +82,6 @@ def test_single_cars_drive_on_alike_on_a_ring_and_on_tracks(ring, work):
     assert on_tracks.road is None
 
 
-def test_drivers_who_drive_anew_know_their_own_errors(ring, work):
-    data = prepare_tracks(tracks_of(ring.measured))
-    model = of_truth(data, ring)
-    states = filtered_states(data, model, work)
-    anew = resample(data, model, states, seeds(7, 1)[0])
-    samples = evaluate(anew, model, work)
-    scored = np.isfinite(samples.log_likelihood)
-    nis = (samples.innovation_m**2 / samples.innovation_var)[scored]
-    # mean of n squares of normal variables has a std of sqrt(2 / n); collisions and restarts cost a few samples
-    assert len(nis) > 0.8 * 6 * 235
-    assert nis.mean() == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / len(nis)))
-    assert np.nanstd(anew.vicinity.position_m[:, :6] - data.vicinity.position_m[:, :6]) > 0.5
-    assert np.array_equal(anew.vicinity.position_m[:, 6:], data.vicinity.position_m[:, 6:], equal_nan=True)
-
-
-def test_a_segment_ends_where_the_leader_changes_or_leaves(ring):
-    tracks = tracks_of(ring.measured)
-    time_s, run = np.asarray(tracks.time_s), np.asarray(tracks.run)
-    # vehicle 3 leaves after 40 s: from then on nobody knows what vehicle 2 follows
-    left = tracks.select((run != 3) | (time_s < time_s[0] + 40.0))
-    data = prepare_tracks(left)
-    names = [name.vehicle for name in data.vicinity.names]
-    two = names.index("2")
-    assert 110 < data.scored[two].sum() < 125
-    assert [len(set(fold[scored].tolist())) for fold, scored in zip(data.fold, data.scored, strict=True)] == [
-        FOLDS
-    ] * len(names)
-    assert len(np.unique(data.segment[two][data.scored[two]])) == 1
-
-
 def test_only_a_road_on_which_everybody_is_known_is_a_whole_road(ring, two_lanes):
     tracks = tracks_of(ring.measured)
     assert whole_road(tracks).vehicle.tolist() == ring.measured.vehicle.tolist()
@@ -142,17 +110,6 @@ def test_the_commands_work_on_two_lanes(two_lanes, tmp_path, capsys):
     assert base["free_run_10s_m"] is None
     assert base["single_car_10s_m"] > base["single_car_10s_crps_m"] > 0.0
     assert {one["name"] for one in found["verdict"]["not_searched"]} >= {"rear_pressure"}
-
-
-def test_a_model_of_another_law_on_tracks_is_told(two_lanes):
-    compared = compare(two_lanes, workers=2)
-    names = [one.name for one in compared.models]
-    assert names[0] == "base"
-    assert names[-1] == "base, simulated"
-    assert compared.measured is None
-    constant = compared.models[names.index("constant_speed")]
-    assert constant.gain["all"].is_loss(1)
-    assert all(np.isfinite(one["single_car_10s_m"]) for one in compared.records())
 
 
 def test_drivers_need_to_follow_for_long_enough(ring):

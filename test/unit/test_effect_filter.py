@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from sugiyama_ros.driver.parameters import KAPPA_1, V_STAR, defaults
+from sugiyama_ros.driver.parameters import V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW, active, index_of, switch_on
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.filters.chain import Adaptation
 from sugiyama_ros.filters.effect_filter import EffectFilter
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import OnlineFilter
@@ -58,19 +57,6 @@ def test_a_drag_is_learnt_and_its_interval_holds(dragged):
     assert np.sum(np.square(of_v_star)) < 48.3
     # the mean over the drivers has left the prior: it is nearer to the truth than to the start
     assert np.mean(off) * np.mean(std[DRAG]) > -0.2
-
-
-def test_a_preference_is_learnt_that_was_fixed_before():
-    p = defaults(DRIVERS)
-    p[:, KAPPA_1] = 1.4
-    t, off = recorded(p, 5), []
-    for driver in range(DRIVERS):
-        adapted = Adaptation(("v_star", "kappa_v", "kappa_1"), (0.1, 0.4, 0.7), 6000.0)
-        online = OnlineFilter(DT, t.road, defaults(), adaptation=adapted)
-        follow(online, samples_of(t, driver))
-        std = np.sqrt(online.parameter_covariance[KAPPA_1, KAPPA_1]) / online.parameters[KAPPA_1]
-        off.append(np.log(online.parameters[KAPPA_1] / 1.4) / std)
-    assert np.sum(np.square(off)) < 48.3
 
 
 def test_nothing_changes_before_the_first_second_is_over(dragged):

@@ -1,5 +1,7 @@
 """Every effect: well declared, neutral at zero strength, with the same physics in simulator and both filters."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy.stats import norm
@@ -20,7 +22,7 @@ from sugiyama_ros.effects.control import add_components
 from sugiyama_ros.effects.effect import STAGES, UTILITY, Extent, Seen, takes_preferences
 from sugiyama_ros.effects.registry import EFFECTS, ROW, active, effect, index_of, switch_on
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.filters.causal import filter_chain, log_likelihood
+from sugiyama_ros.filters.causal import filter_chain
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import ADAPT, NOBODY, OnlineFilter
 from sugiyama_ros.road import Road
@@ -72,12 +74,22 @@ NAMES_OF_EFFECTS = list(EFFECTS)
 DRIVERS, RING_M = 8, 110.0
 
 
-def recording(rows, seed=0, duration_s=60.0):
+def recording(rows, seed=0, duration_s=30.0):
     rng = np.random.default_rng(seed)
     length, road = np.full(DRIVERS, 4.33), Road(RING_M)
     start = evenly(length, road) + rng.uniform(-1.0, 1.0, DRIVERS)
     simulator = Simulator(rows, length, start, road, rng, speed=rng.uniform(3.0, 6.0, DRIVERS))
     return simulate(simulator, duration_s, stop_at_collision=False)
+
+
+@cache
+def base_recording():
+    return recording(drivers())
+
+
+@cache
+def acting_recording(name):
+    return recording(switch_on(ROW.with_effects(drivers()), name, ACTING[name]))
 
 
 def drivers():
@@ -135,7 +147,7 @@ def test_at_zero_strength_the_model_is_the_base_model(name):
             weak[:, index_of(name, parameter)] = value
     if name == "discovered_force":
         weak[:, index_of(name, "covariate")] = 0.0
-    base, same = recording(drivers()), recording(weak)
+    base, same = base_recording(), recording(weak)
     assert np.array_equal(base.position_m, same.position_m)
     assert np.array_equal(base.measured.position_m, same.measured.position_m)
     chain = chain_behind(base.measured, 3)
@@ -150,7 +162,7 @@ def test_at_zero_strength_the_model_is_the_base_model(name):
 
 @pytest.mark.parametrize("name", NAMES_OF_EFFECTS)
 def test_an_effect_acts_and_leaves_the_noise_alone(name):
-    base, changed = recording(drivers()), recording(switch_on(ROW.with_effects(drivers()), name, ACTING[name]))
+    base, changed = base_recording(), acting_recording(name)
     if name in SEEN:
         assert not np.array_equal(base.position_m, changed.position_m)
     else:
@@ -164,7 +176,7 @@ def test_an_effect_acts_and_leaves_the_noise_alone(name):
 @pytest.mark.parametrize("name", [n for n in NAMES_OF_EFFECTS if not effect(n).looks_back])
 def test_the_online_filter_is_the_batch_filter(name):
     row = switch_on(ROW.with_effects(drivers()[0]), name, ACTING[name])
-    t = recording(switch_on(ROW.with_effects(drivers()), name, ACTING[name]), duration_s=40.0).measured
+    t = acting_recording(name).measured
     online, steps = online_steps(t, 2, row)
     ahead = online.kalman.model.rows[1]
     chain = chain_behind(t, 2)
@@ -175,22 +187,6 @@ def test_the_online_filter_is_the_batch_filter(name):
     total = sum(s.log_likelihood for s in steps if s.scored)
     assert total == pytest.approx(batch.log_likelihood, abs=1e-8)
     assert online.parameters[V_STAR] > 0.0
-
-
-@pytest.mark.parametrize("name", [n for n in NAMES_OF_EFFECTS if n not in ("external_push", *SEEN)])
-def test_the_true_effect_predicts_better(name):
-    """Both models have the true parameters of the drivers."""
-    base = drivers()
-    # noise that keeps the traffic moving
-    base[:, 1] = 0.8
-    rows = switch_on(ROW.with_effects(base), name, ACTING[name])
-    t = recording(rows, seed=3, duration_s=120.0).measured
-    gain = 0.0
-    for i in range(DRIVERS):
-        chain = chain_behind(t, i)
-        gain += log_likelihood(chain, rows[i], rows[i]) - log_likelihood(chain, base[i], base[i])
-    # a likelihood ratio of 20, the usual meaning of strong evidence
-    assert gain > np.log(20.0)
 
 
 @pytest.mark.parametrize(
@@ -212,7 +208,7 @@ def test_without_noise_the_filter_follows_the_simulator(name):
     rows = switch_on(ROW.with_effects(quiet), name, ACTING[name])
     t = recording(rows, duration_s=60.0).measured
     with_effect, without = (
-        [filter_chain(chain_behind(t, i), r, ahead=r).innovation_m[20:] for i in range(DRIVERS)]
+        [filter_chain(chain_behind(t, i), r, ahead=r).innovation_m[20:] for i in range(0, DRIVERS, 2)]
         for r in (rows[0], ROW.with_effects(quiet)[0])
     )
     ours, theirs = (float(np.sqrt(np.nanmean(np.square(e)))) for e in (with_effect, without))
@@ -308,10 +304,10 @@ def test_any_set_of_effects_combines():
     assert [s.innovation_m for s in steps] == pytest.approx(batch.innovation_m, abs=1e-8, nan_ok=True)
 
 
-@pytest.mark.parametrize("name", [n for n in NAMES_OF_EFFECTS if not effect(n).looks_back])
-def test_noises_are_learnt_beside_every_effect(name):
+@pytest.mark.parametrize("name", ["drag", "actuation_lag", "outlier_noise"])
+def test_noises_are_learnt_beside_an_effect(name):
     rows = switch_on(ROW.with_effects(drivers()), name, ACTING[name])
-    t = recording(rows).measured
+    t = recording(rows, duration_s=60.0).measured
     chain, online = chain_behind(t, 1), OnlineFilter(t.period_s, t.road, rows[1])
     for k in range(len(chain.position_m)):
         online.step(chain.position_m[k], chain.identity[k], chain.length_m[k], k * t.period_s, NOBODY)
@@ -322,7 +318,7 @@ def test_noises_are_learnt_beside_every_effect(name):
 
 
 def test_an_effect_added_in_mid_run_keeps_what_was_learnt():
-    t = recording(switch_on(ROW.with_effects(drivers()), "drag", ACTING["drag"])).measured
+    t = acting_recording("drag").measured
     chain = chain_behind(t, 0)
     online = OnlineFilter(t.period_s, t.road, drivers()[0])
     for k in range(60):

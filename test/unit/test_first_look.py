@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 import sugiyama_ros as sg
-from sugiyama_ros.driver.parameters import SIGMA_NU, SIGMA_X, defaults
+from sugiyama_ros.driver.parameters import SIGMA_NU
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.filters.alarm import check_style, excess_of, observe, onsets_for, predict_alarm
 from sugiyama_ros.filters.extract import chain_behind
-from sugiyama_ros.filters.online import ADAPT, OnlineFilter
+from sugiyama_ros.filters.online import OnlineFilter
 from sugiyama_ros.filters.online_memory import Sizes, memory_for, online_arrays
 from sugiyama_ros.filters.state import State
 from sugiyama_ros.road import Road
@@ -66,16 +66,6 @@ def test_both_engines_start_anew_alike(smooth):
     assert one.innovation_var == pytest.approx(other.innovation_var, rel=1e-6)
 
 
-def test_a_driver_whose_noises_suit_the_positions_starts_with_them(smooth):
-    row = defaults()
-    row[[SIGMA_NU, SIGMA_X]] = 0.004, 0.0005
-    row[-1] = 0.005
-    online = filter_of(smooth, row)
-    for s in steps_of(smooth, 0)[:60]:
-        online.step(*s)
-    assert not online.is_smooth
-
-
 def test_the_filter_goes_back_to_before_it_started_anew(smooth):
     online = filter_of(smooth)
     steps = steps_of(smooth, 4)
@@ -87,18 +77,6 @@ def test_the_filter_goes_back_to_before_it_started_anew(smooth):
     online.restore(saved)
     assert not online.is_smooth
     assert [online.step(*s).speed for s in steps[20:60]] == first
-
-
-def test_what_was_recalled_holds_after_the_filter_has_started_anew(smooth):
-    once = filter_of(smooth)
-    for s in steps_of(smooth, 3):
-        once.step(*s)
-    again = filter_of(smooth)
-    again.recall(once.learnt)
-    for s in steps_of(smooth, 3)[:40]:
-        again.step(*s)
-    assert again.is_smooth
-    assert again.parameters[SIGMA_NU] == pytest.approx(once.parameters[SIGMA_NU], rel=0.1)
 
 
 def test_a_vehicle_that_stands_says_nothing():
@@ -137,11 +115,3 @@ def test_innovations_that_follow_one_another_are_no_change_of_style():
     assert given <= 1
     # the variance of a sum over 40 samples is 15 times that of white innovations; 23 blocks know it to 30 %
     assert 6.0 < excess < 24.0
-
-
-def test_the_prior_of_an_own_adaptation_stays(smooth):
-    own = filter_of(smooth, adaptation=type(ADAPT)(("v_star",), (0.2,)))
-    for s in steps_of(smooth, 5)[:40]:
-        own.step(*s)
-    assert own.is_smooth
-    assert own.adapted == ("sigma_nu", "sigma_a", "v_star")

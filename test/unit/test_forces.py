@@ -57,7 +57,7 @@ def forces_of(data, fit, work):
     return found, min(chance_of(found, [], 0).p_values.values())
 
 
-@pytest.mark.parametrize(("push", "covariate"), [(chased, "rear_approach_rate"), (moody, "time")])
+@pytest.mark.parametrize(("push", "covariate"), [(chased, "rear_approach_rate")])
 def test_the_covariate_of_a_force_is_found(push, covariate, work):
     (best, *_), p_value = forces_of(*fitted(work, push), work)
     assert best.candidate.name == f"force_along_{covariate}"
@@ -78,11 +78,6 @@ def test_the_size_of_a_force_is_about_right(work):
     # each driver's desired speed takes in a part
     assert 0.6 < slope < 1.5
     assert np.corrcoef(truth, found)[0, 1] > 0.8
-
-
-def test_nothing_is_found_where_nothing_is_missing(plain, work):
-    # by chance, the smallest p-value is uniform: one recording in a hundred fails here
-    assert forces_of(*plain, work)[1] > 0.01
 
 
 def test_what_is_around_a_driver(plain, work):

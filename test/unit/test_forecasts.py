@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.diagnosis.forecast import HORIZONS_S, driven, forecasts, surroundings
-from sugiyama_ros.diagnosis.refine import without_folds
 from sugiyama_ros.diagnosis.table import errors, gains
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
-from sugiyama_ros.effects.registry import ROW, switch_on
-from sugiyama_ros.fit.joint import fit_base, start_model
+from sugiyama_ros.effects.registry import ROW
+from sugiyama_ros.fit.joint import start_model
 from sugiyama_ros.fit.recording import FOLDS, prepare
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
@@ -76,27 +75,6 @@ def test_a_model_gains_over_a_worse_one_at_every_horizon(ring, work):
     assert lost["all"].is_loss(1)
     assert {name: -one.nats for name, one in lost.items()} == pytest.approx({n: one.nats for n, one in won.items()})
     assert all(one.nats == one.se == 0.0 for one in gains(data, best, best).values())
-
-
-def test_each_fitted_parameter_costs_a_held_out_nat(ring, work):
-    data, _, around, _ = ring
-    base = fit_base(data, INDIVIDUAL, work)
-    held_out = forecasts(data, around, without_folds(data, base, work), work)
-    lost = base.log_likelihood - np.nansum(held_out.one_step)
-    # Akaike: a parameter costs about one nat, half of it in sample; 28 parameters, some held by the prior
-    assert 5.0 < lost < 84.0
-
-
-def test_preferences_that_wander_return_to_the_usual_ones(ring, work):
-    """With a short memory the mood of the moment says nothing of the next seconds."""
-    data, truth, around, usual = ring
-
-    def with_memory(time_constant):
-        rows = switch_on(truth.rows, "preference_drift", {"std": 0.1, "time_constant": time_constant})
-        return forecasts(data, around, [replace(truth, rows=rows, ahead=rows)] * FOLDS, work)
-
-    far = [np.nanstd(with_memory(tau).single.error[:, -1] - usual.single.error[:, -1]) for tau in (2.0, 30.0)]
-    assert 2.0 * far[0] < far[1]
 
 
 def test_all_cars_drive_through_every_block_from_where_they_were(ring, work):

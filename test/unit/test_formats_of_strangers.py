@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import sugiyama_ros as sg
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.registry import format_of, read_tracks
 
@@ -134,13 +133,6 @@ def test_files_that_are_no_text_are_one_line_with_the_cure(content, said: str, e
     assert "\n" not in str(caught.value)
 
 
-def test_a_table_with_blanks_may_be_a_text(tmp_path: Path) -> None:
-    path = tmp_path / "file.txt"
-    path.write_text(text_of(plain(), "  "))
-    assert format_of(path).name == "table"
-    assert read_tracks(path).runs == len(VEHICLES)
-
-
 @pytest.mark.parametrize(("factor", "unit"), [(1e3, "milli"), (1e6, "micro"), (1e9, "nano")])
 def test_times_since_1970_may_be_in_parts_of_a_second(factor: float, unit: str, tmp_path: Path) -> None:
     columns = plain()
@@ -150,25 +142,3 @@ def test_times_since_1970_may_be_in_parts_of_a_second(factor: float, unit: str, 
     tracks = read_tracks(path)
     assert f"times are {unit}seconds in the file; they were made seconds" in tracks.about.notes
     assert tracks.time_s.max() - tracks.time_s.min() == pytest.approx(0.1 * (SAMPLES - 1), abs=1e-5)
-
-
-def test_upper_case_pneuma(tmp_path: Path) -> None:
-    head = "TRACK_ID; TYPE; TRAVELED_D; AVG_SPEED; LAT; LON; SPEED; LON_ACC; LAT_ACC; TIME"
-    groups = "".join(f"{37.97 + 1e-6 * k}; 23.73; 28.8; 0; 0; {0.04 * k:.2f}; " for k in range(100))
-    path = tmp_path / "file.csv"
-    path.write_text(f"{head}\n1; Car; 48.8; 9.7; {groups}\n")
-    assert format_of(path).name == "pneuma"
-
-
-def test_a_data_frame_may_name_its_columns_as_a_csv_file(tmp_path: Path) -> None:
-    pandas = pytest.importorskip("pandas")
-    path = tmp_path / "file.csv"
-    path.write_text(text_of(plain()))
-    found, from_file = sg.read_tracks(pandas.read_csv(path)), read_tracks(path)
-    np.testing.assert_array_equal(found.s_m, from_file.s_m)
-    np.testing.assert_array_equal(found.leader_row, from_file.leader_row)
-    with pytest.raises(
-        InputError,
-        match=r"data frame: no column s_m or position_m; .*; name them so",
-    ):
-        sg.read_tracks(pandas.DataFrame({"vehicle": [1], "time_s": [0.0], "x": [1.0]}))

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.openacc import common_path
 from sugiyama_ros.formats.registry import format_of, read_tracks, read_trajectories
 from sugiyama_ros.trajectories.leaders import gaps
 from sugiyama_ros.trajectories.tracks import UNKNOWN
 
-MEASURED = Path(__file__).parents[3] / "shared/data/openacc_zala/handling_part35.csv"
 RADIUS_M, LENGTH_M = 80.0, 4.6
 
 
@@ -84,11 +82,6 @@ def test_damaged_files_are_refused(tmp_path: Path) -> None:
         read_tracks(path)
 
 
-def test_nobody_moves() -> None:
-    assert common_path([np.zeros((10, 2)), np.zeros((10, 2))]) is None
-    assert common_path([np.full((10, 2), np.nan)]) is None
-
-
 def test_a_car_without_any_place_is_left_out(tmp_path: Path) -> None:
     path = tmp_path / "platoon.csv"
     lines = wide_table().splitlines()
@@ -100,14 +93,3 @@ def test_a_car_without_any_place_is_left_out(tmp_path: Path) -> None:
     assert tracks.vehicle.used() == ("1", "3")
     assert (tracks.leader_row == UNKNOWN).all()
     assert dict(tracks.about.dropped) == {"a car was not recorded": 600}
-
-
-@pytest.mark.skipif(not MEASURED.is_file(), reason="needs the measured data")
-def test_measured_platoon() -> None:
-    tracks = read_tracks(MEASURED)
-    assert tracks.vehicle.used() == ("2", "3", "4", "5", "6", "7", "8", "10")
-    assert (tracks.leader_row[tracks.vehicle.code == tracks.vehicle.place("10")] == UNKNOWN).all()
-    (note,) = (note for note in tracks.about.notes if "agree with the given gaps" in note)
-    assert "within 0.04 m (median)" in note
-    with pytest.raises(InputError, match=r"--without 10 --from 9 --to 303.1$"):
-        read_trajectories(MEASURED)

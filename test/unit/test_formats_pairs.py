@@ -10,7 +10,6 @@ from sugiyama_ros.formats.registry import format_of, read_tracks, read_trajector
 from sugiyama_ros.trajectories.leaders import gaps
 from sugiyama_ros.trajectories.stretches import stretches
 
-DATA = Path(__file__).parents[3] / "shared/data"
 FHWA = (
     "run_no,timestamp,xLeaderReal,vLeaderReal,aLeaderReal,xFollowerReal,vFollowerReal,aFollowerReal,xLeaderReal_next,"
     "vLeaderReal_next,aLeaderReal_next,xFollowerReal_next,vFollowerReal_next,aFollowerReal_next,spacing,"
@@ -90,38 +89,3 @@ def test_platoon(tmp_path: Path) -> None:
     path.write_text("\n".join([*rows[:9], "1\t2\t3", *rows[9:]]) + "\n")
     with pytest.raises(InputError, match=r"dataVehicle101.txt:10: 3 fields, but 6 columns"):
         read_tracks(path)
-
-
-@pytest.mark.skipif(not (DATA / "fhwa_hv_pairs").is_dir(), reason="needs the measured data")
-def test_measured_fhwa_pairs() -> None:
-    tracks = read_tracks(DATA / "fhwa_hv_pairs")
-    assert tracks.runs == 24
-    assert len(tracks.recording.used()) == 12
-    assert tracks.leaders_known == 0.5
-    # The gap is the file's spacing.
-    assert np.nanmin(gaps(tracks)) > 0.0
-    assert len(list(stretches(tracks))) == 12
-    for file in sorted((DATA / "fhwa_hv_pairs").glob("*.csv")):
-        assert len(read_trajectories(file).vehicle) == 2
-
-
-@pytest.mark.skipif(not (DATA / "ngsim_i80_pairs").is_dir(), reason="needs the measured data")
-def test_measured_ngsim_pairs() -> None:
-    tracks = read_tracks(DATA / "ngsim_i80_pairs" / "ngsim_i80_pairs.parquet")
-    assert tracks.runs == 222
-    assert tracks.lane.used() == ("1", "2", "3")
-    assert int(np.sum(tracks.leader_row >= 0)) == 68_339
-    assert dict(tracks.about.dropped) == {"second row of a vehicle at the same time": 25_773}
-    found = list(stretches(tracks))
-    assert {one.vehicle for one in found} == set(tracks.vehicle.values()[tracks.leader_row >= 0].tolist())
-    assert sum(one.duration_s for one in found) == pytest.approx(6687.5, abs=0.1)
-
-
-@pytest.mark.skipif(not (DATA / "hefei_platoon").is_dir(), reason="needs the measured data")
-def test_measured_platoon() -> None:
-    tracks = read_tracks(DATA / "hefei_platoon")
-    assert tracks.runs == 20
-    assert len(tracks.recording.used()) == 10
-    assert np.nanmin(gaps(tracks)) > 0.0
-    for one in stretches(tracks):
-        assert 229.0 < one.duration_s < 293.0

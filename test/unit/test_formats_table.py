@@ -9,9 +9,8 @@ import pytest
 from pyarrow import parquet
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats import sheet
 from sugiyama_ros.formats.choices import Choices, read_choices
-from sugiyama_ros.formats.registry import format_of, read_recordings, read_tracks, read_trajectories
+from sugiyama_ros.formats.registry import format_of, read_tracks, read_trajectories
 from sugiyama_ros.formats.tracks_parquet import write_tracks
 from sugiyama_ros.trajectories.exchange import KEY
 from sugiyama_ros.trajectories.time_base import is_regular, period_of
@@ -76,23 +75,6 @@ def test_what_users_write_is_accepted(tmp_path: Path, cells: Cells, separator: s
     assert len(tracks) + sum(dict(tracks.about.dropped).values()) == 600
 
 
-def test_epoch_milliseconds_are_said(tmp_path: Path) -> None:
-    path = tmp_path / "a.csv"
-    path.write_text(table(lambda k, i, t, s: (1700000000000 + 100 * i, k, f"{s:.3f}", 4.5)))
-    assert "times are milliseconds in the file; they were made seconds" in read_tracks(path).about.notes
-
-
-def test_lengths_that_vary(tmp_path: Path) -> None:
-    path, content = (
-        tmp_path / "a.csv",
-        table(lambda k, i, t, s: (f"{t:.1f}", k, f"{s:.3f}", f"{4.5 + 0.1 * (i % 9):.1f}")),
-    )
-    assert "a.csv:3: vehicle 0 is 4.6 m long here" in refused(read_trajectories, path, content)
-    tracks = read_tracks(path)
-    assert set(tracks.length_m.tolist()) == {4.9}
-    assert any("vary by more than 0.5 m: 3 vehicles; the median counts" in note for note in tracks.about.notes)
-
-
 @pytest.mark.parametrize(
     "cells",
     [
@@ -110,21 +92,6 @@ def test_irregular_times_are_resampled(tmp_path: Path, cells: Cells) -> None:
     assert tracks.leaders_known > 0.66
     write_tracks(tracks, tmp_path / "even.parquet")
     assert len(read_trajectories(tmp_path / "even.parquet").vehicle) == 3
-
-
-def test_clocks_that_never_meet_are_noted(tmp_path: Path) -> None:
-    path = tmp_path / "a.csv"
-    path.write_text(table(lambda k, i, t, s: (f"{t + 100 * k:.1f}", k, f"{s:.3f}", 4.5)))
-    assert any(note.startswith("warning: no vehicle has another one ahead") for note in read_tracks(path).about.notes)
-
-
-def test_a_file_that_is_mostly_empty(tmp_path: Path) -> None:
-    path = tmp_path / "a.csv"
-    content = table(lambda k, i, t, s: (f"{t + (300 if i >= 100 else 0):.1f}", k, f"{s:.3f}", 4.5))
-    assert "200 times are there; 3200 are expected" in refused(read_trajectories, path, content)
-    tracks = read_tracks(path)
-    assert tracks.runs == 6
-    assert len(tracks) == 600
 
 
 def test_overlaid_pairs_are_refused(tmp_path: Path) -> None:
@@ -171,11 +138,6 @@ def test_bad_tables(tmp_path: Path, content: str, said: str) -> None:
     assert said in refused(read_trajectories, path, content)
 
 
-def test_too_many_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sheet, "MAX_ROWS", 100)
-    assert "more than 100 rows; split the file" in refused(read_tracks, tmp_path / "a.csv", table(separator=";"))
-
-
 def test_a_map_of_columns(tmp_path: Path) -> None:
     path, names = tmp_path / "mine.csv", tmp_path / "map.yaml"
     path.write_text(
@@ -215,16 +177,6 @@ def test_bad_maps(tmp_path: Path, content: str, said: str) -> None:
     assert said in refused(read_choices, tmp_path / "map.yaml", content)
 
 
-def test_a_parquet_file_with_two_columns_of_one_name_is_refused(tmp_path: Path) -> None:
-    source, path = tmp_path / "a.csv", tmp_path / "a.parquet"
-    source.write_text(table())
-    write_tracks(read_tracks(source), path)
-    tracks = parquet.read_table(path)
-    parquet.write_table(tracks.append_column("s_m", tracks.column("s_m")), path)
-    with pytest.raises(InputError, match=r"a.parquet: has 2 columns s_m; rename all but one"):
-        read_tracks(path)
-
-
 @pytest.mark.parametrize(("name", "value"), [("ring_m", float("inf")), ("view", "side"), ("source", 1)])
 def test_tracks_that_say_odd_things_of_themselves_are_refused(tmp_path: Path, name: str, value: object) -> None:
     source, path = tmp_path / "a.csv", tmp_path / "a.parquet"
@@ -235,13 +187,6 @@ def test_tracks_that_say_odd_things_of_themselves_are_refused(tmp_path: Path, na
     parquet.write_table(tracks.replace_schema_metadata({KEY: json.dumps(said)}), path)
     with pytest.raises(InputError, match=r"a.parquet: does not say that it holds tracks"):
         read_tracks(path, name="tracks")
-
-
-def test_an_error_is_one_line_whatever_a_file_holds(tmp_path: Path) -> None:
-    rows = [f'{0.1 * i:.1f},"a\n{"b" * 5000}",{20.0 * k + i},5' for k in (1, 2) for i in range(80)]
-    text = refused(read_tracks, tmp_path / "a.csv", "\n".join([",".join(HEADER), *rows, ""]))
-    assert text.endswith("give the column recording (--columns)")
-    assert len(text) < 1100
 
 
 def test_tracks_come_back_from_parquet_and_csv(tmp_path: Path) -> None:
@@ -269,39 +214,6 @@ def test_lanes_that_are_filled_in_say_who_leads(tmp_path: Path) -> None:
     assert read_tracks(path).leader.values()[::200].tolist() == [None, "0", "1"]
 
 
-def test_damaged_parquet_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "a.csv"
-    path.write_text(table())
-    write_tracks(read_tracks(path), tmp_path / "b.parquet")
-    whole = (tmp_path / "b.parquet").read_bytes()
-    random = np.random.default_rng(4)
-    for _ in range(100):
-        damaged = bytearray(whole)
-        for place in random.integers(4, len(whole), 5).tolist():
-            damaged[place] = int(random.integers(0, 256))
-        (tmp_path / "c.parquet").write_bytes(damaged[: int(random.integers(8, len(whole) + 1))])
-        told = ""
-        try:
-            read_tracks(tmp_path / "c.parquet")
-        except InputError as error:
-            told = str(error)
-        assert "\n" not in told
-
-
-def test_other_parquet_tables_are_read_by_name(tmp_path: Path) -> None:
-    import pyarrow
-    from pyarrow import parquet
-
-    given = {
-        "vehicle": ["a"] * 60 + ["b"] * 60,
-        "time_s": [0.1 * (i % 60) for i in range(120)],
-        "s_m": [float(i) for i in range(120)],
-    }
-    parquet.write_table(pyarrow.table(given), tmp_path / "a.parquet")
-    assert format_of(tmp_path / "a.parquet").name == "table"
-    assert read_tracks(tmp_path / "a.parquet").leader.values()[0] == "b"
-
-
 def test_every_file_of_a_folder_is_a_recording(tmp_path: Path) -> None:
     folder = tmp_path / "drives"
     folder.mkdir()
@@ -318,29 +230,3 @@ def test_every_file_of_a_folder_is_a_recording(tmp_path: Path) -> None:
     (folder / "three.csv").write_text("a,b\n")
     with pytest.raises(InputError, match=r"three.csv:1: no column"):
         read_tracks(folder)
-
-
-def test_unknown_formats_are_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"format 'shp': not known; choose among mcap, mstf"):
-        read_tracks(tmp_path, name="shp")
-
-
-def test_several_files_are_recordings_of_one_table(tmp_path):
-    for name in ("one", "two"):
-        rows = "".join(f"{v},{0.1 * k:.1f},{20.0 * v + k}\n" for v in (1, 2) for k in range(30))
-        (tmp_path / f"{name}.csv").write_text("vehicle,time_s,s_m\n" + rows)
-    files = [tmp_path / "one.csv", tmp_path / "two.csv"]
-    pooled = read_recordings(files)
-    assert pooled.recording.used() == read_tracks(tmp_path).recording.used()
-    assert len(pooled) == 120
-    with pytest.raises(InputError, match="same name"):
-        read_recordings([files[0], files[0]])
-
-
-def test_a_position_that_becomes_too_large_is_left_out(tmp_path: Path) -> None:
-    file, chosen = tmp_path / "large.csv", tmp_path / "map.yaml"
-    file.write_text("time_s,vehicle,a\n" + "".join(f"{t},1,{t}\n" for t in range(9)) + "9,1,1e308\n")
-    chosen.write_text("s_m: {column: a, factor: 10.0}\ntime_s: time_s\nvehicle: vehicle\n")
-    tracks = read_tracks(file, read_choices(chosen))
-    assert len(tracks) == 9
-    assert dict(tracks.about.dropped) == {"no position": 1}

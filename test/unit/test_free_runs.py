@@ -58,19 +58,6 @@ def test_without_acceleration_noise_shocks_change_nothing():
     np.testing.assert_array_equal(ends_in_a_jam(shock, 0.0), ends_in_a_jam(np.zeros_like(shock), 0.0))
 
 
-def test_a_pair_of_opposite_shocks_has_the_mean_of_many_runs_and_a_run_without_noise_ends_ahead_of_it():
-    rng, shape = np.random.default_rng(4), (_STEPS, _CARS)
-    many = np.array([ends_in_a_jam(rng.standard_normal(shape)) for _ in range(400)])
-    shocks = rng.standard_normal((100, *shape))
-    pairs = np.array([0.5 * (ends_in_a_jam(shock) + ends_in_a_jam(-shock)) for shock in shocks])
-    mean, mean_of_pairs = many.mean(), pairs.mean()
-    se, se_of_pairs = (one.mean(axis=1).std(ddof=1) / np.sqrt(len(one)) for one in (many, pairs))
-    assert abs(mean_of_pairs - mean) < 4.0 * np.hypot(se, se_of_pairs)
-    assert ends_in_a_jam(np.zeros(shape)).mean() - mean_of_pairs > 4.0 * se_of_pairs
-    # what is linear in the shocks, most of the spread, is gone
-    assert (pairs.std(axis=0) < 0.5 * many.std(axis=0)).all()
-
-
 def test_motion_between_measurements_is_the_smooth_curve_through_them():
     time = np.arange(40.0)
     position = np.column_stack((5.0 * time + 0.05 * time**2, 30.0 + 5.0 * time + 0.05 * time**2))

@@ -35,10 +35,6 @@ def loaded_by(module: str, names: set[str]) -> set[str]:
     return names & set(done.stdout.split())
 
 
-def test_the_command_line_loads_no_numbers() -> None:
-    assert not loaded_by("sugiyama_ros.cli", {"numpy", "scipy", "numba", "filterpy", "rclpy", "pandas", "matplotlib"})
-
-
 def test_files_are_read_without_compiled_code() -> None:
     assert not loaded_by("sugiyama_ros.formats.registry", {"scipy", "numba", "rosbags"})
 

@@ -4,15 +4,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from sugiyama_ros.diagnosis.candidates import push_of_one, with_candidate
 from sugiyama_ros.driver.parameters import defaults, index
 from sugiyama_ros.driver.utility import ACTIONS, mean_action
 from sugiyama_ros.effects.registry import EFFECTS, MECHANISM, ROW, switch_on
-from sugiyama_ros.filters.causal import filter_chain, log_likelihood
+from sugiyama_ros.filters.causal import log_likelihood
 from sugiyama_ros.filters.extract import chain_behind
-from sugiyama_ros.fit.joint import start_model
-from sugiyama_ros.fit.recording import prepare
-from sugiyama_ros.fit.score import PointwiseDensity, unknown
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, evenly
 from sugiyama_ros.trajectories.trajectories import Trajectories
@@ -96,17 +92,6 @@ def test_the_likelihood_is_largest_at_the_delay_of_the_second_generator(delay_s)
     assert found[2] > max(first, total(measured, rows)) + np.log(1e4)
 
 
-def test_with_hardly_any_noise_the_filter_recalls_what_there_was():
-    """Innovations are then as small as the noise allows, and the chain's past is the past that was measured."""
-    measured, rows = recorded(second_generator(2, delay_s=0.5)), rows_of()
-    late = switch_on(rows, "reaction_delay_others", {"delay": 0.5})
-    filtered = filter_chain(chain_behind(measured, 3), late[3], ahead=late[3])
-    known = np.isfinite(filtered.sample_log_likelihood)
-    nis = np.square(filtered.innovation_m[known]) / filtered.innovation_var[known]
-    # the mean of n squares of normal values has a std of sqrt(2 / n); five of these are allowed
-    assert nis.mean() == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / known.sum()))
-
-
 def test_fear_of_the_second_vehicle_is_found_in_the_utility():
     measured, rows = recorded(second_generator(1, second=0.5)), rows_of()
     found = [
@@ -139,21 +124,3 @@ def test_every_form_belongs_to_a_mechanism():
     assert {MECHANISM[form.name] for e in EFFECTS.values() for form in e.forms} == {
         e.name for e in EFFECTS.values() if e.forms
     }
-
-
-def test_a_push_is_looked_for_where_the_innovations_run_to_one_side():
-    measured = recorded(second_generator(3, duration_s=60.0))
-    data = prepare(measured)
-    rng = np.random.default_rng(4)
-    y, shape = rng.standard_normal((CARS, len(measured.position_m))), (CARS, len(measured.position_m))
-    y[6, 100:106] += 4.0
-    candidate = push_of_one(data, PointwiseDensity(y, np.ones(shape), np.zeros(shape)))
-    assert candidate is not None
-    rows = with_candidate(start_model(data, ()), candidate, candidate.starts[0]).rows
-    push = {p.name: rows[:, ROW.index_of("external_push", p.name)] for p in EFFECTS["external_push"].parameters}
-    assert np.flatnonzero(push["spared"] == 0.0).tolist() == [6]
-    assert push["strength"][6] > 0.0
-    assert push["time"][6] == pytest.approx(100 * PERIOD_S, abs=1.0)
-    # half a nat of chance for each of about 5,000 places, of which the largest counts
-    assert 5.0 < candidate.elsewhere < 10.0
-    assert push_of_one(data, unknown(*shape)) is None

@@ -38,9 +38,7 @@ def jittered():
 
 
 TIMES = {
-    "4 Hz": np.arange(0.0, DURATION_S, 0.25),
     "7 Hz": np.arange(0.0, DURATION_S, 1.0 / 7.0),
-    "25 Hz": np.arange(0.0, DURATION_S, 0.04),
     "jitter": jittered(),
 }
 

@@ -1,9 +1,7 @@
 """The compiled step of the online filter says what the step on filterpy says."""
 
 import copy
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,11 +16,13 @@ from sugiyama_ros.filters.shown import ShownParameters
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, evenly, platoon, simulate
 
-DT = 1.0 / 3.0
+#: One effect of each stage, and one that remembers.
 EFFECTS = {
-    name: reference["values"]
-    for name, reference in json.loads((Path(__file__).parents[1] / "golden" / "reference.json").read_text()).items()
-    if name != "none"
+    "second_leader": {"weight": 0.6},
+    "slow_patch": {"reduction": 0.2, "centre": 50.0, "width": 60.0},
+    "keeping_up": {"weight": 0.1, "range": 50.0},
+    "actuation_lag": {"time_constant": 0.3},
+    "sensor_eccentricity": {"cosine": 1.5, "sine": 1.0},
 }
 
 
@@ -107,13 +107,15 @@ def assert_same_knowledge(compiled, readable):
     assert {*parameters.not_identified} == {*readable.adapted} - {*readable.identified}
 
 
-@pytest.mark.parametrize("adaptation", [ADAPT, Adaptation()], ids=["adapted", "fixed"])
-@pytest.mark.parametrize("learning", [LEARN, None, Learning(relaxations_s=((900.0, 300.0),))])
+@pytest.mark.parametrize(
+    ("adaptation", "learning"),
+    [(ADAPT, LEARN), (Adaptation(), None), (ADAPT, Learning(relaxations_s=((900.0, 300.0),)))],
+)
 def test_missing_samples_and_gross_errors(jam, adaptation, learning):
     assert_equal(pair(jam, adaptation=adaptation, learning=learning), samples_of(jam, 3))
 
 
-@pytest.mark.parametrize("vehicles", [1, 2, 4])
+@pytest.mark.parametrize("vehicles", [1, 4])
 def test_chains_of_other_lengths(jam, vehicles):
     assert_equal(pair(jam, vehicles=vehicles), samples_of(jam, 4, vehicles))
 
@@ -134,12 +136,12 @@ def test_other_vehicles_in_the_chain(jam):
 
 def test_an_open_road():
     t = recorded(defaults(5), 60.0, 0.0)
-    for driver in range(5):
+    for driver in (0, 4):
         assert_equal(pair(t), samples_of(t, driver))
 
 
 @pytest.mark.parametrize("name", EFFECTS)
-def test_every_effect(name):
+def test_an_effect_of_each_stage(name):
     rows = switch_on(ROW.with_effects(defaults(6)), name, EFFECTS[name])
     t = recorded(rows, 40.0, 70.0, 3)
     position = t.position_m.copy()

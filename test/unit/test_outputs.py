@@ -7,22 +7,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from sugiyama_ros import files
 from sugiyama_ros.errors import OutputError
 from sugiyama_ros.files import Output, name_of_part, read_yaml, writing
 from sugiyama_ros.formats.reading import open_input
-from sugiyama_ros.road import Road
-from sugiyama_ros.trajectories.trajectories import Trajectories
 
 OLD = b"old, and whole"
-
-
-def ring(steps: int = 200) -> Trajectories:
-    position = np.arange(steps)[:, None] * 0.5 + np.array([0.0, 30.0, 60.0])
-    return Trajectories(position % 100.0, np.full(3, 4.5), np.arange(3), Road(100.0), 0.5, 0.0, "model", "ab")
 
 
 def write(output: Output, content: bytes = b"new") -> None:
@@ -82,38 +74,6 @@ def test_devices_are_refused() -> None:
     assert stat.S_ISCHR(Path("/dev/full").stat().st_mode)
 
 
-@pytest.mark.parametrize("name", ["", ".", "/", "..", "x" * 300, "a\0b"])
-def test_paths_that_are_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(OutputError) as caught:
-        write(Output(Path(name)))
-    assert "\n" not in str(caught.value)
-    assert names(tmp_path) == []
-
-
-def test_an_existing_file_needs_overwrite(tmp_path: Path) -> None:
-    path = tmp_path / "out.csv"
-    path.write_bytes(OLD)
-    with pytest.raises(OutputError, match=r"exists already.*--overwrite"):
-        write(Output(path))
-    assert path.read_bytes() == OLD
-    write(Output(path, overwrite=True))
-    assert (path.read_bytes(), names(tmp_path)) == (b"new", ["out.csv"])
-
-
-@pytest.mark.parametrize("name", ["in.csv", "./in.csv", "hard.csv"])
-def test_an_input_is_never_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    monkeypatch.chdir(tmp_path)
-    source = tmp_path / "in.csv"
-    source.write_bytes(OLD)
-    (tmp_path / "hard.csv").hardlink_to(source)
-    with files.remembered():
-        files.note_given(source)
-        with pytest.raises(OutputError, match="also read by this command"):
-            write(Output(Path(name), overwrite=True))
-    assert source.read_bytes() == OLD
-
-
 def test_a_file_that_was_read_on_the_way_is_never_written(tmp_path: Path) -> None:
     """Metadata beside the tracks, a map of columns, a file of a folder; but what the command wrote itself may go."""
     with files.remembered():
@@ -147,20 +107,6 @@ def test_a_file_that_appears_in_the_meantime_stays_and_nothing_is_lost(tmp_path:
     (part,) = tmp_path.glob("*.part")
     assert part.read_bytes() == b"new"
     assert str(part) in str(caught.value)
-
-
-def test_files_of_others_beside_the_output_stay(tmp_path: Path) -> None:
-    (tmp_path / "mine").write_bytes(OLD)
-    (tmp_path / "out.csv.part").symlink_to("mine")
-    write(Output(tmp_path / "out.csv"))
-    assert (tmp_path / "mine").read_bytes() == OLD
-    assert names(tmp_path) == ["mine", "out.csv", "out.csv.part"]
-
-
-def test_the_longest_name_can_be_written(tmp_path: Path) -> None:
-    path = tmp_path / ("ä" * 127)
-    write(Output(path))
-    assert names(tmp_path) == [path.name]
 
 
 def test_the_file_has_the_usual_permissions(tmp_path: Path) -> None:

@@ -18,12 +18,3 @@ def test_both_drivers_mean_the_same():
         row[V_STAR], row[KAPPA_V] = v_star[k], kappa_v[k]
         own = mean_action(gap[k], speed[k], leader[k], row, ACTIONS, REFERENCE_PERIOD_S, REFERENCE_HORIZON)
         assert found[k] == pytest.approx(own, abs=1e-9)
-
-
-@pytest.mark.parametrize("name", ["nothing", "linear friction", "rounded speed"])
-def test_a_recording_repeats_and_nobody_collides(name):
-    first, second = (outside.record(name, 5, most=6, ring_m=70.0, duration_s=30.0) for _ in range(2))
-    assert np.array_equal(first, second)
-    ahead = np.roll(first, -1, axis=1) - first
-    ahead[:, -1] += 70.0
-    assert ahead.min() > outside.LENGTH_M - 1.5

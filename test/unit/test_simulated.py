@@ -48,13 +48,6 @@ def mean_error(data, model, work, driver):
     return z.mean(), 1.0 / np.sqrt(len(z))
 
 
-def test_a_first_car_is_seen_as_it_moves(behind_a_slow_car, work):
-    run, data, model = behind_a_slow_car
-    speed = filtered_states(data, model, work)[10:, FIRST, 1]
-    # the speed of the model's driver would be above 5 m/s
-    assert speed.mean() == pytest.approx(run.speed[10:, FIRST].mean(), abs=0.1)
-
-
 def test_those_behind_a_first_car_are_simulated_as_the_model_drives(behind_a_slow_car, work):
     _, data, model = behind_a_slow_car
     states = filtered_states(data, model, work)

@@ -8,7 +8,7 @@ from sugiyama_ros.calibration.soundness import mean_nis
 from sugiyama_ros.driver.parameters import SIGMA_NU, SIGMA_V, SIGMA_X, V_STAR, defaults
 from sugiyama_ros.filters.first_look import SIGMAS
 from sugiyama_ros.fit.scoring import SMALLEST, lower_bounds
-from sugiyama_ros.fit.smooth_positions import ESTIMATED, FREED, evenness, smoothing_window
+from sugiyama_ros.fit.smooth_positions import ESTIMATED, FREED, evenness
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
@@ -65,10 +65,3 @@ def test_the_filter_knows_its_errors_on_smooth_positions():
     # 900 samples each know a mean NIS to 5 %; with the fixed noises it is below 0.2
     assert mean_nis(found) == pytest.approx(1.0, abs=0.2)
     assert found.rows[:, SIGMA_NU] == pytest.approx(0.004, rel=0.25)
-
-
-def test_a_short_recording_shows_no_smoothing():
-    """Correlations of few samples are larger than 0.2 by chance."""
-    rng = np.random.default_rng(5)
-    found = [smoothing_window(rng.normal(0.0, 0.3, (1, length)), 1 / 3) for length in range(5, 62) for _ in range(4)]
-    assert np.mean(np.array(found) > 0) < 0.1

@@ -7,7 +7,7 @@ import pytest
 
 from sugiyama_ros.diagnosis.candidates import OF_SOME, candidates
 from sugiyama_ros.diagnosis.chance import chance_of
-from sugiyama_ros.diagnosis.refine import refined, without_folds
+from sugiyama_ros.diagnosis.refine import refined
 from sugiyama_ros.diagnosis.score import scores
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW, index_of, switch_on
@@ -66,14 +66,6 @@ def test_the_drivers_who_have_an_effect_are_found(scored):
     assert chance_of(scored, [], 0).p_values["slow_patch"] < 0.01
 
 
-def test_nobody_is_picked_out_where_everybody_has_it(work):
-    data, base = fitted_to(range(CARS), work)
-    patch = [c for c in candidates(data) if c.name == "slow_patch"]
-    found = scores(data, base, patch, work, with_forces=False)
-    best = max(found, key=lambda one: one.gain)
-    assert len(best.candidate.drivers or range(CARS)) >= CARS - 1
-
-
 def test_only_these_drivers_get_the_effect(fitted, grown):
     _, base = fitted
     strength = grown.model.rows[:, PLACE]
@@ -81,12 +73,6 @@ def test_only_these_drivers_get_the_effect(fitted, grown):
     assert strength[list(SLOW)] == pytest.approx([0.3, 0.3], abs=0.12)
     assert grown.log_likelihood > base.log_likelihood + 20.0
     assert grown.model.has[:, list(grown.model.shared).index(PLACE)].tolist() == [i in SLOW for i in range(CARS)]
-
-
-def test_held_out_models_keep_the_others_without_it(fitted, grown, work):
-    data, _ = fitted
-    for model in without_folds(data, grown, work):
-        assert np.flatnonzero(model.rows[:, PLACE]).tolist() == list(SLOW)
 
 
 def test_standard_errors_hold(fitted, grown, work):

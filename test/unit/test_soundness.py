@@ -7,7 +7,6 @@ import pytest
 
 import sugiyama_ros as sg
 from sugiyama_ros.calibration.soundness import cautions, mean_nis
-from sugiyama_ros.driver.parameters import V_STAR
 from sugiyama_ros.errors import InputError
 
 
@@ -54,27 +53,6 @@ def test_drivers_of_whom_nothing_is_known_are_told(calibrated, tmp_path):
     short = sg.calibrate(sg.read(path))
     assert cautions(short)[0] == "vehicles 0, 1: too few samples, so that no parameter is known"
     assert "inf" not in str(short)
-
-
-def test_the_table_has_units_and_means_of_what_is_identified(calibrated):
-    table = calibrated.table()
-    assert table.headings == (
-        "vehicle",
-        "sigma_nu [m]",
-        "sigma_a [m/s^2]",
-        "v* [m/s]",
-        "kappa_v [s]",
-        "log-likelihood [nats]",
-    )
-    assert table.rows[-1][-1] == f"{calibrated.log_likelihood.mean():.1f}"
-    first = {**calibrated.identified[0], "v_star": False}
-    rows = (
-        replace(calibrated, identified=(first, *({**one, "v_star": True} for one in calibrated.identified[1:])))
-        .table()
-        .rows
-    )
-    assert rows[0][3] == "not identified"
-    assert rows[-1][3] == f"{calibrated.rows[1:, V_STAR].mean():.3f}"
 
 
 def test_a_parameter_without_an_error_is_not_identified(calibrated):

@@ -1,49 +1,34 @@
 """Studies of few drivers and few runs: an answer, or one line with the cure; never a warning."""
 
 import json
-import subprocess
-import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from journeys.forks import Forks
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.studies import rings
 from sugiyama_ros.studies.rings import jams
 
 pytestmark = pytest.mark.system
-SUGIYAMA = str(Path(sys.executable).with_name("sugiyama"))
 
 
-def told(here: Path, *arguments: str) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run([SUGIYAMA, *arguments], cwd=here, capture_output=True, text=True, timeout=200)
-
-
-@pytest.fixture
-def here(tmp_path: Path) -> Path:
-    for name, vehicles, ring in (("six.csv", "6", "70"), ("two.csv", "2", "40")):
-        made = told(tmp_path, "simulate", "--vehicles", vehicles, "--ring", ring, "--duration", "40", "-o", name)
-        assert made.returncode == 0, made.stderr
-    return tmp_path
-
-
-def test_types_of_few_drivers(here: Path) -> None:
+def test_types_of_few_drivers(tmp_path: Path, forks: Forks) -> None:
     """There are fewer clusters than drivers, and two drivers have no types."""
-    done = told(here, "study", "types", "six.csv", "--ring", "70", "--json")
-    assert (done.returncode, done.stderr) == (0, "")
-    rows = json.loads(done.stdout)["rows"]
+    tell = partial(forks.run_text, tmp_path)
+    for made in ("--vehicles 6 --ring 70 -o six.csv", "--vehicles 2 --ring 40 -o two.csv"):
+        assert tell(f"sugiyama simulate --duration 40 {made}").code == 0
+    done = tell("sugiyama study types six.csv --ring 70 --json")
+    assert (done.code, done.err) == (0, "")
+    rows = json.loads(done.out)["rows"]
     assert [row["clusters"] for row in rows] == list(range(2, rows[0]["drivers"]))
     assert all(np.isfinite(row["agreement of draws"]) for row in rows)
-    done = told(here, "study", "types", "two.csv", "--ring", "40")
-    assert done.returncode == 2
-    assert done.stderr.startswith("error: study types: v_star is identified for ")
-    assert len(done.stderr.splitlines()) == 1
-
-
-def test_measured_drivers_of_whom_one_is_identified(here: Path) -> None:
-    done = told(here, "study", "measured", "two.csv", "--ring", "40", "--json")
-    assert (done.returncode, done.stderr) == (0, "")
+    done = tell("sugiyama study types two.csv --ring 40")
+    assert done.code == 2
+    assert done.err.startswith("error: study types: v_star is identified for ")
+    assert len(done.err.splitlines()) == 1
 
 
 def test_where_all_runs_collide_the_cure_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

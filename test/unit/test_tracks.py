@@ -67,20 +67,6 @@ def test_who_drives_behind_a_vehicle_without_a_sample_has_an_unknown_leader(miss
     assert set(tracks.leader.values()[tracks.start[3] :]) == {"3"}
 
 
-def test_a_vehicle_that_is_sampled_half_as_often_is_not_absent_in_between() -> None:
-    table = columns(3)
-    keep = (table["vehicle"] != 2) | (np.arange(180) % 2 == 0)
-    tracks = assemble({name: np.asarray(c)[keep] for name, c in table.items()})
-    third = tracks.leader.values()[tracks.start[2] :]
-    assert third[:59].tolist() == ["2", None] * 29 + ["2"]
-
-
-def test_two_samples_in_one_tick_leave_nothing_out_in_between() -> None:
-    table = columns(2, 300)
-    table["time_s"][330] = table["time_s"][329] + 1e-4
-    assert set(names(assemble(table))[300:329]) == {"1"}
-
-
 @pytest.mark.parametrize(
     ("name", "factor", "said"),
     [
@@ -107,11 +93,6 @@ def test_on_a_ring_the_last_leads_the_first() -> None:
     assert names(tracks)[::60] == ["4", "1", "2", "3"]
     np.testing.assert_allclose(gaps(tracks)[:60], 36.0)
     assert set(assemble(columns(1), About(ring_m=100.0)).leader_row.tolist()) == {FREE}
-
-
-def test_a_row_without_a_lane_leads_nobody_and_follows_nobody_known() -> None:
-    lane = np.array(["a"] * 60 + [None] * 60 + ["a"] * 120, dtype=object)
-    assert names(assemble(columns(lane=lane)))[::60] == [None, None, "1", "3"]
 
 
 def test_leaders_by_brute_force() -> None:
@@ -154,12 +135,6 @@ def test_positions_that_decrease_along_the_drive_are_turned_round() -> None:
     assert "positions decrease along the drive in 50 % of the rows; they were turned round" in tracks.about.notes
 
 
-def test_noise_at_rest_does_not_turn_a_lane_round() -> None:
-    table = columns(2)
-    table["s_m"] = np.repeat([100.0, 80.0], 60) - 0.01 * np.tile(np.arange(60), 2)
-    assert names(assemble(table))[::60] == [None, "1"]
-
-
 def test_overlapping_vehicles_are_refused_with_the_cure() -> None:
     table = columns(40, 60)
     with pytest.raises(InputError, match=r"below zero, as -.* m behind vehicle .* give the column lane or recording"):
@@ -185,11 +160,6 @@ def test_given_leaders_are_compared_or_believed() -> None:
     believed = assemble(columns(leader=np.repeat(["", NOBODY, None, "1"], 60)), About(leaders="given"))
     assert names(believed)[::60] == [None, NOBODY, None, "1"]
     assert believed.leader_row[::60].tolist() == [UNKNOWN, FREE, UNKNOWN, 0]
-
-
-def test_who_follows_a_vehicle_out_of_view_follows_nobody_in_the_table() -> None:
-    leader = np.repeat(["", "99", "2", "3"], 60)
-    assert names(assemble(columns(leader=leader)))[::60] == [None, None, "2", "3"]
 
 
 def test_rows_that_say_too_little_are_left_out_and_counted() -> None:
@@ -291,18 +261,6 @@ def test_pandas_and_back() -> None:
         sg.read_tracks(frame.assign(s_m="far"))
 
 
-def test_rows_are_made_when_they_are_asked_for() -> None:
-    tracks = assemble(columns(2, 30))
-    rows = tracks.records()
-    assert len(rows) == 60
-    assert rows[-1] == dict(recording="1", vehicle="2", time_s=pytest.approx(2.9), s_m=1009.0, length_m=4.0, leader="1")
-    assert [row["vehicle"] for row in rows[28:32]] == ["1", "1", "2", "2"]
-    assert len(list(rows)) == 60
-    with pytest.raises(IndexError):
-        rows[60]
-    assert "60 rows in all" in tracks._repr_html_()
-
-
 def test_labels() -> None:
     one = labels_of(["b10", None, "b2", 12.0, "b10"])
     assert one.text == ("12", "b2", "b10")
@@ -336,20 +294,3 @@ def test_tracks_are_saved(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_tracks(tmp_path / "a.csv").leader_row, tracks.leader_row)
     with pytest.raises(OutputError, match=r"a.parquet: cannot be written: .*; choose another place"):
         tracks.save(tmp_path / "none" / "a.parquet")
-
-
-def test_a_table_that_cannot_be_written_leaves_the_old_one_whole(tmp_path: Path, monkeypatch) -> None:
-    from sugiyama_ros.trajectories import exchange
-
-    def half(_: Tracks, stream) -> None:
-        stream.write(b"PAR1")
-        raise OSError(28, "No space left on device")
-
-    path = tmp_path / "tracks.parquet"
-    assemble(columns(), About()).save(path)
-    old = path.read_bytes()
-    monkeypatch.setattr(exchange, "write_parquet", half)
-    with pytest.raises(OutputError, match="No space left"):
-        assemble(columns(), About()).save(path)
-    assert path.read_bytes() == old
-    assert list(tmp_path.iterdir()) == [path]

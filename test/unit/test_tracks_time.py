@@ -6,12 +6,12 @@ import pytest
 from sugiyama_ros.driver.parameters import population
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.causal import filter_chain
-from sugiyama_ros.filters.extract import chain_behind, chain_of, drives
+from sugiyama_ros.filters.extract import chain_behind, drives
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.assemble import assemble
 from sugiyama_ros.trajectories.one_lane import check_order, one_lane, tracks_of
-from sugiyama_ros.trajectories.stretches import Stretch, stretches
+from sugiyama_ros.trajectories.stretches import stretches
 from sugiyama_ros.trajectories.time_base import is_regular, on_time_base, period_of, resample
 from sugiyama_ros.trajectories.tracks import NOBODY, Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
@@ -77,16 +77,6 @@ def test_a_regular_time_base_stays_as_it_is() -> None:
         on_time_base(tracks, 0.0)
 
 
-def test_a_senseless_time_is_no_error_of_the_program() -> None:
-    """Labels have 32 bits; a recording and a time [ms] together need more."""
-    table = rows()
-    table["time_s"] = table["time_s"] + 1e9 * (np.arange(len(table["time_s"])) == 200)
-    table["recording"] = np.repeat(["a", "b"], len(table["time_s"]) // 2)
-    tracks = assemble(table)
-    assert period_of(tracks) == 0.1
-    assert is_regular(tracks)
-
-
 def test_clocks_that_are_apart_meet_on_a_common_time_base() -> None:
     table = rows()
     table["time_s"] = table["time_s"] + 0.03 * (table["vehicle"] - 1)
@@ -141,13 +131,6 @@ def test_stretches_have_the_two_vehicles_ahead() -> None:
     assert (third.length_m == 4.0).all()
 
 
-def test_a_free_road_is_known() -> None:
-    first = next(iter(stretches(platoon(about=About(view="whole")))))
-    assert first.vehicle == "1"
-    np.testing.assert_array_equal(first.identity, np.tile([0, -1, -1], (201, 1)))
-    assert np.isnan(first.position_m[:, 1:]).all()
-
-
 def test_holes_and_unknown_leaders_divide_stretches() -> None:
     table = rows(3)
     time, vehicle = table["time_s"], table["vehicle"]
@@ -158,16 +141,6 @@ def test_holes_and_unknown_leaders_divide_stretches() -> None:
     assert short == [(pytest.approx(13.5), pytest.approx(6.5))]
 
 
-def test_a_missing_sample_is_a_hole_in_the_arrays_only() -> None:
-    table = rows(3)
-    keep = ~((table["vehicle"] == 2) & (np.abs(table["time_s"] - 7.0) < 0.15))
-    (third,) = (one for one in stretches(assemble(part(table, keep))) if one.vehicle == "3")
-    missing = np.isnan(third.position_m)
-    np.testing.assert_array_equal(np.flatnonzero(missing[:, 1]), [69, 70, 71])
-    assert not missing[:, 0].any()
-    np.testing.assert_array_equal(np.unique(third.identity, axis=0), [[2, 1, 0]])
-
-
 @pytest.mark.parametrize(("gone_at", "duration", "vehicles"), [(17.05, 17.0, 3), (12.05, 20.0, 2)])
 def test_what_the_leader_reacts_to_must_be_known(gone_at: float, duration: float, vehicles: int) -> None:
     table = rows(3)
@@ -175,15 +148,6 @@ def test_what_the_leader_reacts_to_must_be_known(gone_at: float, duration: float
     (third,) = (one for one in stretches(assemble(part(table, keep))) if one.vehicle == "3")
     assert third.duration_s == pytest.approx(duration)
     assert third.position_m.shape[1] == vehicles
-
-
-def test_another_road_divides_stretches() -> None:
-    table = rows(2)
-    road = np.where(table["s_m"] < 600.0, "in", "out")
-    table["s_m"] = np.where(road == "in", table["s_m"], table["s_m"] - 600.0)
-    found = list(stretches(assemble({**table, "road": road})))
-    assert [one.start_s for one in found] == [0.0, pytest.approx(9.4)]
-    assert all((np.diff(one.position_m[:, 0]) > 0.0).all() for one in found)
 
 
 def test_flicker_of_leader_and_lane_is_ignored() -> None:
@@ -209,11 +173,6 @@ def test_samples_around_an_own_lane_change_are_not_scored() -> None:
     np.testing.assert_array_equal(third.identity[[99, 100], 1], [1, 0])
 
 
-def test_on_a_ring_of_two_the_leaders_leader_is_not_the_driver() -> None:
-    for one in stretches(platoon(2, about=About(ring_m=90.0))):
-        np.testing.assert_array_equal(one.identity[:, 2], -1)
-
-
 def test_chains_are_those_of_the_dense_table() -> None:
     """On one lane with everybody present, a chain out of tracks is filtered as a chain out of trajectories is."""
     time = np.arange(0.0, 30.0, 1.0 / 3.0)
@@ -226,12 +185,6 @@ def test_chains_are_those_of_the_dense_table() -> None:
         expected = filter_chain(chain_behind(dense, driver), population()).log_likelihood
         assert filter_chain(drive.chain, population()).log_likelihood == pytest.approx(expected, rel=1e-12)
         np.testing.assert_allclose(drive.chain.rear, chain_behind(dense, driver).rear, rtol=0.0, atol=1e-9)
-
-
-def test_a_chain_without_a_vehicle_behind() -> None:
-    last = list(stretches(platoon()))[-1]
-    assert isinstance(last, Stretch)
-    assert np.isnan(chain_of(last).rear).all()
 
 
 def test_one_lane_becomes_a_dense_table() -> None:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
-from sugiyama_ros.trajectories.trajectories import Trajectories, regular_time_base
+from sugiyama_ros.trajectories.trajectories import Trajectories
 
 OPEN = Road()
 
@@ -89,24 +89,6 @@ def test_impossible_trajectories_are_refused():
         Trajectories(x, np.array([1.0, np.nan]), np.arange(2), Road(), 1.0)
     with pytest.raises(InputError, match="time between samples"):
         Trajectories(x, np.ones(2), np.arange(2), Road(), 0.0)
-
-
-def test_rounded_stamps_give_a_third_of_a_second():
-    start, period, number = regular_time_base(np.round(np.arange(751) / 3.0, 3), "test")
-    assert period == pytest.approx(1 / 3, abs=1e-6)
-    assert start == pytest.approx(0.0, abs=1e-3)
-    assert number.tolist() == list(range(751))
-
-
-def test_skipped_samples_keep_their_number():
-    _, period, number = regular_time_base(np.array([0.0, 0.1, 0.2, 0.5, 0.6, 0.8]), "test")
-    assert period == pytest.approx(0.1)
-    assert number.tolist() == [0, 1, 2, 5, 6, 8]
-
-
-def test_an_irregular_time_base_is_refused():
-    with pytest.raises(InputError, match="off the regular time base"):
-        regular_time_base(np.array([0.0, 1.0, 2.0, 3.3, 4.0]), "test")
 
 
 def test_the_follower_is_the_first_vehicle_whose_leader_is_this_vehicle():

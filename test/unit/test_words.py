@@ -12,7 +12,6 @@ from sugiyama_ros.page.words import (
     badge,
     best_model,
     cautions,
-    check_in_words,
     equation,
     headline,
     how_sure,
@@ -80,13 +79,6 @@ def test_constants_never_explain_and_the_closest_effect_stands_beside_them(behin
     assert "is explained" not in told
     assert "[kappa_c free], kappa_c = 1.9 ± 0.1 m" in told
     assert "Do not take it for a cause" in what_to_do(d)
-
-
-def test_constants_beside_an_effect_are_told_apart_from_it() -> None:
-    d = document("explained", [addition(), CONSTANTS], fall={"physics_m": 0.5, "other_m": 1.0})
-    assert headline(d).startswith("What was missing is explained: slower stretch of road (slow_patch). ")
-    assert "Besides, these drivers do not have the paper's constants: softer or harder" in headline(d)
-    assert "3.00 m -> 1.50 m; physical effects bring 0.500 m." in sentences(d)[1]
 
 
 def test_an_error_that_grows_is_told_first() -> None:
@@ -158,11 +150,6 @@ def test_nothing_that_explains_a_model_that_fails() -> None:
     assert badge(d)[0] == "✗"
 
 
-def test_a_sign_that_makes_no_sense_is_told_with_the_name_of_the_parameter() -> None:
-    one = check_in_words(document(), fails("sign_of_drag.c0", -0.34, 0.0))
-    assert one == "c0 of drag is -0.34; below 0 it makes no physical sense"
-
-
 def test_tracks_are_told_by_errors_of_one_car() -> None:
     missed = [{"name": "external_push", "reason": "stretches have no time in common"}]
     d = document("explained", [addition()], tracks=True, not_searched=missed)
@@ -182,25 +169,6 @@ def test_who_gets_worse_is_told_and_a_model_file_warns() -> None:
     assert cautions(d) == ["forecasts get worse than the base model's: all cars at 10 s -20 ± 5 nats"]
     assert worse(d)[1:] == cautions(d)
     assert len(by_driver(d).rows) == 6
-
-
-def test_a_gain_that_is_clear_at_one_horizon_alone_names_the_horizon() -> None:
-    d = document("explained", [addition(gain=(9.0, 8.0), columns={"at_5s": (40.0, 9.0)})])
-    assert "9 ± 8 nats better (1.1 standard errors), most clearly one car at 5 s: 40 ± 9" in sentences(d)[2]
-
-
-def test_who_shows_an_effect_is_told_by_number() -> None:
-    d = document("explained", [addition(vehicles=[3, 4])])
-    assert "; shown by vehicles 3 and 4 only;" in sentences(d)[2]
-
-
-def test_certain_names_are_told_from_uncertain_ones() -> None:
-    pair = [addition(), addition("drag", indistinguishable=["road_grade"])]
-    assert how_sure(document("explained", pair)).startswith(
-        "Only slower stretch of road (slow_patch) can be told apart"
-    )
-    unsure = [{**one, "indistinguishable": ["road_grade"]} for one in pair]
-    assert how_sure(document("explained", unsure)).startswith("No name is certain")
 
 
 def test_the_data_are_told_of_where_they_are_unusual() -> None:

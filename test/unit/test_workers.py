@@ -26,7 +26,7 @@ def test_only_some_of_many_items_are_under_way(monkeypatch):
     assert len(made) == 50
 
 
-@pytest.mark.parametrize("items", [0, 1, 7, 1500])
+@pytest.mark.parametrize("items", [0, 1500])
 def test_results_come_in_the_order_of_the_items(items):
     expected = [math.sqrt(number) for number in range(items)]
     assert list(ordered_map(math.sqrt, range(items), None)) == expected
