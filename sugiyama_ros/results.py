@@ -231,7 +231,7 @@ def plain(value: Any) -> Any:
 def space_time(figure: "Figure | SubFigure", time_s: "Array", position_m: "Array", speed: "Array") -> None:
     """Draw trajectories in space and time, coloured by speed.
 
-    time_s: (T,), times [s]; position_m, speed: (T, N), positions [m], wrapped on a ring, and speeds [m/s]; naN where
+    time_s: (T,), times [s]; position_m, speed: (T, N), positions [m], wrapped on a ring, and speeds [m/s]; NaN where
     unknown.
     """
     axes = figure.subplots()

@@ -1,5 +1,6 @@
 """``sugiyama diagnose`` and ``sugiyama compare``."""
 
+import itertools
 import os
 import shlex
 from collections.abc import Mapping
@@ -18,7 +19,6 @@ from sugiyama_ros.cli.options import (
     Scheduler,
     Seed,
     Sources,
-    bag_for,
     command_line,
     model_to_write,
     names,
@@ -99,8 +99,10 @@ def diagnose(options: _DiagnoseOptions) -> None:
         else:
             advance("diagnosing on the cluster", 0, 1)
             found = workers.submit(_found, recording, **settings).result()
-    given = {"command": _command(options), "model_file": options.output, "file": options.save, **_given(options)}
-    everything = plain({**document(found), **given})
+    # what a page needs to say how to run the same data
+    given = {"sources": [str(source) for source in options.sources], "ring_m": options.ring}
+    written = {"model_file": options.output, "file": options.save}
+    everything = plain({**document(found), "command": _command(options), **written, **given})
     everything["verdict"]["told"] = sentences(everything)
     if model is not None:
         write_model(model, found.data, found.final.fit, cautions(everything))
@@ -110,7 +112,7 @@ def diagnose(options: _DiagnoseOptions) -> None:
     if options.as_json:
         print_json(everything)
         return
-    _print_found(everything, options)
+    _print_found(everything)
     _print_next(everything, options)
     print_note(f"simulated recordings of each model: {found.simulations}; {found.wall_s:.0f} s")
 
@@ -136,7 +138,7 @@ def _names(add: str | None) -> tuple[str, ...]:
     return names(add)
 
 
-def _print_found(found: Mapping[str, Any], options: _DiagnoseOptions) -> None:
+def _print_found(found: Mapping[str, Any]) -> None:
     """Print the verdict, and the tables that it rests on."""
     from sugiyama_ros.page import tables
 
@@ -152,9 +154,11 @@ def _command(options: _DiagnoseOptions, **changed: object) -> str:
     return command_line("diagnose", _DiagnoseOptions, **{**vars(options), **changed})
 
 
-def _given(options: _DiagnoseOptions) -> dict[str, object]:
-    """What a page needs to say how to run the same data."""
-    return {"sources": [str(one) for one in options.sources], "ring_m": options.ring}
+def _bag_for(source: Path) -> Path:
+    """A name for the run of a file, here: that of the data, unless there is such a bag or its page already."""
+    ends = itertools.chain(("", "_run"), (f"_run_{k}" for k in itertools.count(2)))
+    bags = (Path(f"{source.stem or 'run'}{end}.mcap") for end in ends)
+    return next(bag for bag in bags if not bag.exists() and not bag.with_suffix(".html").exists())
 
 
 def _print_next(found: Mapping[str, Any], options: _DiagnoseOptions) -> None:
@@ -167,7 +171,7 @@ def _print_next(found: Mapping[str, Any], options: _DiagnoseOptions) -> None:
     def run() -> str:
         return command_line("run", RunOptions, source=sources[0], ring=ring, model=model, output=bag)
 
-    bag, effects = bag_for(sources[0]), found["verdict"]["effects"]
+    bag, effects = _bag_for(sources[0]), found["verdict"]["effects"]
     if model is not None:
         compared = command_line("compare", _CompareOptions, sources=sources, model=model, ring=ring, seed=options.seed)
         print_line(f"model file: {model} (compare it: {compared})")
@@ -181,9 +185,9 @@ def _print_next(found: Mapping[str, Any], options: _DiagnoseOptions) -> None:
         print_line(f"look at it: {run()} && {page}")
     elif options.save is None:
         wanted = model or ("model.yaml" if effects else None)
-        kept = "the model and the page" if wanted and model is None else "the page"
+        kept = "the model and the diagnosis" if wanted and model is None else "the diagnosis"
         again = _command(options, output=wanted, save="diagnosis.json", overwrite=model is not None)
-        print_line(f"to keep what {kept} need: {again}")
+        print_line(f"to keep {kept}: {again}")
 
 
 @dataclass(frozen=True)

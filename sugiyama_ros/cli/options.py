@@ -2,7 +2,6 @@
 
 import functools
 import inspect
-import itertools
 import math
 import shlex
 from collections.abc import Callable
@@ -116,13 +115,6 @@ def to_write(path: Path, overwrite: bool, *endings: str) -> Output:
 def model_to_write(path: Path | None, overwrite: bool) -> Output | None:
     """The model file to write, if one is wanted. Raises InputError or OutputError."""
     return None if path is None else to_write(path, overwrite, ".yaml", ".yml")
-
-
-def bag_for(source: Path) -> Path:
-    """A name for the run of a file, here: that of the data, unless there is such a bag or its page already."""
-    ends = itertools.chain(("", "_run"), (f"_run_{k}" for k in itertools.count(2)))
-    bags = (Path(f"{source.stem or 'run'}{end}.mcap") for end in ends)
-    return next(bag for bag in bags if not bag.exists() and not bag.with_suffix(".html").exists())
 
 
 def own_output(given: Path | None, own: str, overwrite: bool) -> Output:

@@ -7,8 +7,6 @@ from sugiyama_ros.driver.parameters import Parameter
 from sugiyama_ros.jit import kernel
 from sugiyama_ros.laws.law import Law, bounded
 
-_SOURCE = "Jiang, Wu and Zhu, Phys. Rev. E 64 (2001) 017101"
-
 
 @kernel
 def _fvdm(gap: float, speed: float, leader_speed: float, p: Array) -> float:
@@ -26,14 +24,14 @@ LAW = Law(
     name="fvdm",
     title="full velocity difference model",
     summary="relaxation to an optimal velocity of the gap, plus a term in the relative speed",
-    source=_SOURCE,
+    source="Jiang, Wu and Zhu, Phys. Rev. E 64 (2001) 017101",
     parameters=(
-        Parameter("kappa", "κ", "1/s", 0.5, 0.01, 10.0, f"sensitivity to the optimal velocity; {_SOURCE}"),
-        Parameter("lambda", "λ", "1/s", 0.5, 0.0, 10.0, f"sensitivity to the relative speed; {_SOURCE}"),
-        Parameter("V1", "V_1", "m/s", 5.0, -20.0, 60.0, f"optimal velocity: mid value; {_SOURCE}"),
-        Parameter("V2", "V_2", "m/s", 5.0, 0.1, 60.0, f"optimal velocity: half range; {_SOURCE}"),
-        Parameter("C1", "C_1", "1/m", 0.2, 0.005, 5.0, f"optimal velocity: steepness; {_SOURCE}"),
-        Parameter("C2", "C_2", "1", 1.0, -5.0, 10.0, f"optimal velocity: place of the turning point; {_SOURCE}"),
+        Parameter("kappa", "κ", "1/s", 0.5, 0.01, 10.0, "sensitivity to the optimal velocity"),
+        Parameter("lambda", "λ", "1/s", 0.5, 0.0, 10.0, "sensitivity to the relative speed"),
+        Parameter("V1", "V_1", "m/s", 5.0, -20.0, 60.0, "optimal velocity: mid value"),
+        Parameter("V2", "V_2", "m/s", 5.0, 0.1, 60.0, "optimal velocity: half range"),
+        Parameter("C1", "C_1", "1/m", 0.2, 0.005, 5.0, "optimal velocity: steepness"),
+        Parameter("C2", "C_2", "1", 1.0, -5.0, 10.0, "optimal velocity: place of the turning point"),
     ),
     function=_fvdm,
 )

@@ -7,8 +7,6 @@ from sugiyama_ros.driver.parameters import Parameter
 from sugiyama_ros.jit import kernel
 from sugiyama_ros.laws.law import Law, bounded
 
-_SOURCE = "Gipps, Transp. Res. B 15 (1981) 105"
-
 
 @kernel
 def _gipps(gap: float, speed: float, leader_speed: float, p: Array) -> float:
@@ -33,14 +31,14 @@ LAW = Law(
     name="gipps",
     title="Gipps' law",
     summary="the speed from which the driver can still stop behind a braking leader",
-    source=_SOURCE,
+    source="Gipps, Transp. Res. B 15 (1981) 105",
     parameters=(
-        Parameter("v0", "V", "m/s", 10.0, 1.0, 80.0, f"desired speed; {_SOURCE}"),
-        Parameter("a", "a", "m/s^2", 1.5, 0.05, 10.0, f"maximum acceleration; {_SOURCE}"),
-        Parameter("b", "b", "m/s^2", 3.0, 0.1, 20.0, f"hardest braking that the driver is ready for; {_SOURCE}"),
-        Parameter("b_leader", "b̂", "m/s^2", 3.0, 0.1, 20.0, f"braking that the driver expects ahead; {_SOURCE}"),
-        Parameter("tau", "τ", "s", 0.7, 0.1, 3.0, f"reaction time; {_SOURCE}"),
-        Parameter("s0", "s_0", "m", 1.5, 0.0, 20.0, f"gap at standstill; {_SOURCE}"),
+        Parameter("v0", "V", "m/s", 10.0, 1.0, 80.0, "desired speed"),
+        Parameter("a", "a", "m/s^2", 1.5, 0.05, 10.0, "maximum acceleration"),
+        Parameter("b", "b", "m/s^2", 3.0, 0.1, 20.0, "hardest braking that the driver is ready for"),
+        Parameter("b_leader", "b̂", "m/s^2", 3.0, 0.1, 20.0, "braking that the driver expects ahead"),
+        Parameter("tau", "τ", "s", 0.7, 0.1, 3.0, "reaction time"),
+        Parameter("s0", "s_0", "m", 1.5, 0.0, 20.0, "gap at standstill"),
     ),
     function=_gipps,
 )

@@ -7,8 +7,6 @@ from sugiyama_ros.driver.parameters import Parameter
 from sugiyama_ros.jit import kernel
 from sugiyama_ros.laws.law import Law, bounded
 
-_SOURCE = "Helly, Simulation of bottlenecks in single-lane traffic flow (1959)"
-
 
 @kernel
 def _helly(gap: float, speed: float, leader_speed: float, p: Array) -> float:
@@ -26,12 +24,12 @@ LAW = Law(
     name="helly",
     title="Helly's linear follower",
     summary="linear in the relative speed and in the difference to a wanted gap",
-    source=_SOURCE,
+    source="Helly, Simulation of bottlenecks in single-lane traffic flow (1959)",
     parameters=(
-        Parameter("c_v", "C_1", "1/s", 0.5, 0.0, 10.0, f"sensitivity to the relative speed; {_SOURCE}"),
-        Parameter("c_s", "C_2", "1/s^2", 0.15, 0.001, 5.0, f"sensitivity to the gap; {_SOURCE}"),
-        Parameter("d", "α", "m", 1.5, 0.0, 20.0, f"gap at standstill; {_SOURCE}"),
-        Parameter("T", "β", "s", 0.8, 0.0, 5.0, f"wanted time gap; {_SOURCE}"),
+        Parameter("c_v", "C_1", "1/s", 0.5, 0.0, 10.0, "sensitivity to the relative speed"),
+        Parameter("c_s", "C_2", "1/s^2", 0.15, 0.001, 5.0, "sensitivity to the gap"),
+        Parameter("d", "α", "m", 1.5, 0.0, 20.0, "gap at standstill"),
+        Parameter("T", "β", "s", 0.8, 0.0, 5.0, "wanted time gap"),
     ),
     function=_helly,
 )

@@ -7,8 +7,6 @@ from sugiyama_ros.driver.parameters import Parameter
 from sugiyama_ros.jit import kernel
 from sugiyama_ros.laws.law import Law, bounded, hardest_braking
 
-_SOURCE = "Treiber, Hennecke and Helbing, Phys. Rev. E 62 (2000) 1805"
-
 
 @kernel
 def idm(gap: float, speed: float, leader_speed: float, p: Array) -> float:
@@ -31,13 +29,13 @@ LAW = Law(
     name="idm",
     title="intelligent driver model",
     summary="free acceleration minus an interaction that grows with the wanted gap over the gap, squared",
-    source=_SOURCE,
+    source="Treiber, Hennecke and Helbing, Phys. Rev. E 62 (2000) 1805",
     parameters=(
-        Parameter("v0", "v_0", "m/s", 10.0, 1.0, 80.0, f"desired speed; {_SOURCE}"),
-        Parameter("T", "T", "s", 0.8, 0.05, 5.0, f"desired time gap; {_SOURCE}"),
-        Parameter("s0", "s_0", "m", 1.5, 0.0, 20.0, f"gap at standstill; {_SOURCE}"),
-        Parameter("a", "a", "m/s^2", 1.5, 0.05, 10.0, f"maximum acceleration; {_SOURCE}"),
-        Parameter("b", "b", "m/s^2", 2.0, 0.05, 20.0, f"comfortable braking; {_SOURCE}"),
+        Parameter("v0", "v_0", "m/s", 10.0, 1.0, 80.0, "desired speed"),
+        Parameter("T", "T", "s", 0.8, 0.05, 5.0, "desired time gap"),
+        Parameter("s0", "s_0", "m", 1.5, 0.0, 20.0, "gap at standstill"),
+        Parameter("a", "a", "m/s^2", 1.5, 0.05, 10.0, "maximum acceleration"),
+        Parameter("b", "b", "m/s^2", 2.0, 0.05, 20.0, "comfortable braking"),
     ),
     function=idm,
 )

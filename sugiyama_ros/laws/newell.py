@@ -7,8 +7,6 @@ from sugiyama_ros.driver.parameters import Parameter
 from sugiyama_ros.jit import kernel
 from sugiyama_ros.laws.law import Law, bounded
 
-_SOURCE = "Newell, Transp. Res. B 36 (2002) 195"
-
 
 @kernel
 def _newell(gap: float, speed: float, leader_speed: float, p: Array) -> float:
@@ -25,11 +23,11 @@ LAW = Law(
     name="newell",
     title="Newell's law",
     summary="the leader's trajectory a fixed time later and a fixed distance behind, with a relaxation time",
-    source=_SOURCE,
+    source="Newell, Transp. Res. B 36 (2002) 195",
     parameters=(
-        Parameter("v0", "v_f", "m/s", 10.0, 1.0, 80.0, f"free speed; {_SOURCE}"),
-        Parameter("tau", "τ", "s", 1.0, 0.1, 5.0, f"time shift; {_SOURCE}"),
-        Parameter("d", "d", "m", 1.5, 0.0, 20.0, f"gap at standstill; {_SOURCE}"),
+        Parameter("v0", "v_f", "m/s", 10.0, 1.0, 80.0, "free speed"),
+        Parameter("tau", "τ", "s", 1.0, 0.1, 5.0, "time shift"),
+        Parameter("d", "d", "m", 1.5, 0.0, 20.0, "gap at standstill"),
         Parameter("T", "T", "s", 1.0, 0.1, 20.0, "relaxation time of the speed; added here"),
     ),
     function=_newell,

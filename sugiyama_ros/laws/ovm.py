@@ -7,8 +7,6 @@ from sugiyama_ros.driver.parameters import Parameter
 from sugiyama_ros.jit import kernel
 from sugiyama_ros.laws.law import Law, bounded
 
-_SOURCE = "Bando, Hasebe, Nakayama, Shibata and Sugiyama, Phys. Rev. E 51 (1995) 1035"
-
 
 @kernel
 def _ovm(gap: float, speed: float, leader_speed: float, p: Array) -> float:
@@ -27,12 +25,12 @@ LAW = Law(
     name="ovm",
     title="optimal velocity model",
     summary="relaxation to an optimal velocity of the gap",
-    source=_SOURCE,
+    source="Bando, Hasebe, Nakayama, Shibata and Sugiyama, Phys. Rev. E 51 (1995) 1035",
     parameters=(
-        Parameter("kappa", "a", "1/s", 1.0, 0.01, 10.0, f"sensitivity; {_SOURCE}"),
-        Parameter("V", "V", "m/s", 5.0, 0.1, 60.0, f"scale of the optimal velocity; {_SOURCE}"),
-        Parameter("c", "c", "1/m", 0.2, 0.005, 5.0, f"steepness of the optimal velocity; {_SOURCE}"),
-        Parameter("g", "g", "m", 5.0, 0.0, 100.0, f"gap at the turning point; {_SOURCE}"),
+        Parameter("kappa", "a", "1/s", 1.0, 0.01, 10.0, "sensitivity"),
+        Parameter("V", "V", "m/s", 5.0, 0.1, 60.0, "scale of the optimal velocity"),
+        Parameter("c", "c", "1/m", 0.2, 0.005, 5.0, "steepness of the optimal velocity"),
+        Parameter("g", "g", "m", 5.0, 0.0, 100.0, "gap at the turning point"),
     ),
     function=_ovm,
 )

@@ -17,7 +17,7 @@ _BACKWARD = 2.0
 class RecordedTraffic(NamedTuple):
     """Recorded vehicles in V columns; the first N of them are drivers who drive anew.
 
-    state: (T, V, 4), position [m], speed [m/s], acceleration noise and held acceleration [m/s^2]; naN where unknown;
+    state: (T, V, 4), position [m], speed [m/s], acceleration noise and held acceleration [m/s^2]; NaN where unknown;
     leader: (T, V), column of the vehicle ahead; -1 where there is none; length_m: (T, V), lengths [m]; segment: (N, T),
     number of the unbroken part of each driver's record; road: the road; period_s: time [s] between two samples.
     """
@@ -37,7 +37,7 @@ def drive_behind(recorded: RecordedTraffic, rows: Array, rng: np.random.Generato
     segment begins.
 
     rows: (N, width), rows of the drivers at the period of the samples. Returns position_m: (T, N), measured positions
-    [m]; naN where a driver could not be simulated; segment: (N, T), number of the unbroken part of each driver's new
+    [m]; NaN where a driver could not be simulated; segment: (N, T), number of the unbroken part of each driver's new
     record.
     """
     samples, drivers = len(recorded.state), len(rows)

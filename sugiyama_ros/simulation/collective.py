@@ -26,9 +26,9 @@ class Collective:
     """Collective measures of a recording or a simulation.
 
     mean_speed, least_speed, largest_speed: mean, smallest and largest speed [m/s] over the vehicles, averaged over time
-    (the paper's V_avg, V_min, V_max); wave_speed: speed [m/s] of waves, negative against the direction of traffic; naN
+    (the paper's V_avg, V_min, V_max); wave_speed: speed [m/s] of waves, negative against the direction of traffic; NaN
     if there is no wave; queue_vehicles: mean number of vehicles in a queue: slower than ``QUEUE_SPEED``, unless another
-    speed was asked for; period_s: time [s] between two waves that pass the same driver; naN if no wave returns.
+    speed was asked for; period_s: time [s] between two waves that pass the same driver; NaN if no wave returns.
     """
 
     mean_speed: float
@@ -44,8 +44,8 @@ def collective(
 ) -> Collective:
     """Compute the collective measures of a recording or a simulation.
 
-    speed: (T, N), speeds [m/s]; naN where unknown; headway_m: (T, N), distance [m] from a vehicle's centre to its
-    leader's centre; naN without a leader; leader: (T, N), columns of the leaders; -1 without a leader; period_s: time
+    speed: (T, N), speeds [m/s]; NaN where unknown; headway_m: (T, N), distance [m] from a vehicle's centre to its
+    leader's centre; NaN without a leader; leader: (T, N), columns of the leaders; -1 without a leader; period_s: time
     [s] between two samples; queue_speed: speed [m/s] below which a vehicle is in a queue.
     """
     known = speed[np.isfinite(speed).any(axis=1)]
@@ -70,10 +70,8 @@ def wave_speed(speed: Array, headway_m: Array, leader: Ints, period_s: float) ->
     from the leader's place to the follower's. Each moment counts as much as it contributes to the agreement, so free
     flow before the waves does not count.
 
-    speed: (T, N), speeds [m/s]; naN where unknown; headway_m: (T, N), distance [m] from a vehicle's centre to its
-    leader's centre; naN without a leader; leader: (T, N), columns of the leaders; -1 without a leader; period_s: time
-    [s] between two samples. Returns speed of waves [m/s], negative against the direction of traffic; naN if there is no
-    wave.
+    Arguments as for ``collective``. Returns speed of waves [m/s], negative against the direction of traffic; NaN if
+    there is no wave.
     """
     samples = len(speed)
     lags = int(min(_LONGEST_LAG_S / period_s, samples // 4))
@@ -100,9 +98,7 @@ def wave_speed(speed: Array, headway_m: Array, leader: Ints, period_s: float) ->
 def wave_speed_error(speed: Array, headway_m: Array, leader: Ints, period_s: float) -> float:
     """Estimate the standard error of the speed of waves: each block of 25 s is left out in turn (jackknife).
 
-    speed: (T, N), speeds [m/s]; naN where unknown; headway_m: (T, N), distance [m] from a vehicle's centre to its
-    leader's centre; naN without a leader; leader: (T, N), columns of the leaders; -1 without a leader; period_s: time
-    [s] between two samples. Returns standard error [m/s]; naN if there is no wave without some block, or if the
+    Arguments as for ``collective``. Returns standard error [m/s]; NaN if there is no wave without some block, or if the
     recording is shorter than 100 s.
     """
     count = round(len(speed) * period_s / _BLOCK_S)
@@ -123,8 +119,7 @@ def _wave_period(speed: Array, period_s: float) -> float:
 
     The time is the first high maximum of the mean autocorrelation of speed after the autocorrelation was negative.
 
-    speed: (T, N), speeds [m/s]; naN where unknown; period_s: time [s] between two samples. Returns time [s] between two
-    waves; naN if speeds do not repeat.
+    speed: (T, N), speeds [m/s]; NaN where unknown. Returns time [s] between two waves; NaN if speeds do not repeat.
     """
     off = _off(speed)
     if not np.isfinite(off).any() or np.nanvar(off) < _LEAST_VARIANCE:

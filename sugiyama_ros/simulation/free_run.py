@@ -114,11 +114,7 @@ def run_single(
 ) -> None:
     """Let each of some vehicles drive by the model among neighbours who drive as they were recorded.
 
-    who: (W,), numbers of the vehicles; recorded: (at least steps + 1, N, 4), filtered position [m], speed [m/s],
-    acceleration noise and held acceleration [m/s^2]; rows: (N, width), rows of the drivers at this period; actions:
-    (K,), accelerations [m/s^2] that the drivers consider; time: time of the first sample [s]; shock: (steps, N),
-    standard normal shocks of the acceleration noise; zeros for a run without noise; out: (steps, N, 2), the columns of
-    these vehicles are filled with positions [m] and speeds [m/s].
+    who: (W,), numbers of the vehicles, whose columns of ``out`` are filled; other arguments as for ``run_coupled``.
     """
     for i in who:
         near, order_near = _neighbourhood(i, order)

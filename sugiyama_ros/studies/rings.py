@@ -23,10 +23,8 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 RING_M, CARS, LENGTH_M, _DURATION_S, _LAST_S = 230.0, 22, 4.33, 500.0, 150.0
 #: Gap [m] between cars that start out of a jam.
 JAM_GAP_M = 2.0
-#: Factors of sigma_a in simulations with estimated drivers: in the paper (section 6), and with only a few collisions.
-PAPERS_FACTOR, FACTOR = 0.5, 0.25
-#: Speed [m/s] from which on the noise is whole, if it grows with the speed (a footnote of section 6).
-FULL_NOISE_AT = 5.0
+#: Factor of sigma_a in simulations with estimated drivers, of whom only a few collide.
+FACTOR = 0.25
 # A road has a wave if the slowest vehicle, in the mean over time, has less than this part of the speed of the fastest.
 _SLOW = 0.5
 

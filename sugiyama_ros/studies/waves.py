@@ -11,9 +11,7 @@ from sugiyama_ros.driver.parameters import KAPPA_C, KAPPA_V, SIGMA_A, SIGMA_V, S
 from sugiyama_ros.studies.rings import (
     CARS,
     FACTOR,
-    FULL_NOISE_AT,
     JAM_GAP_M,
-    PAPERS_FACTOR,
     RING_M,
     Ring,
     compare,
@@ -24,6 +22,9 @@ from sugiyama_ros.studies.rings import (
 )
 from sugiyama_ros.studies.study import Answer, Asked, Study
 
+# The paper's factor of sigma_a (section 6), and the speed [m/s] from which on the noise is whole, if it grows with the
+# speed (a footnote of section 6).
+_PAPERS_FACTOR, _FULL_NOISE_AT = 0.5, 5.0
 # Starts, and whether the cars start out of a jam.
 _STARTS = {"equal gaps": False, "out of a jam": True}
 # Circumferences as shares of the measured one.
@@ -49,7 +50,7 @@ def _mean_driver(drivers: Array) -> Array:
 def _simulated(asked: Asked) -> Answer:
     """Simulate the estimated drivers on the measured ring, from equal gaps and out of a jam."""
     ring, cases = ring_of(asked.measured), {}
-    for factor, full_at in ((PAPERS_FACTOR, 0.0), (FACTOR, 0.0), (PAPERS_FACTOR, FULL_NOISE_AT)):
+    for factor, full_at in ((_PAPERS_FACTOR, 0.0), (FACTOR, 0.0), (_PAPERS_FACTOR, _FULL_NOISE_AT)):
         drivers = estimated(asked, factor, full_at)
         law = f", whole from {full_at:g} m/s on" if full_at else ""
         for start, jammed in _STARTS.items():
