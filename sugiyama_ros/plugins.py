@@ -45,23 +45,10 @@ _Kind = TypeVar("_Kind", bound=Named)
 
 
 def registered(group: str, kind: type[_Kind], modules: Sequence[str], attribute: str) -> dict[str, _Kind]:
-    """Collect all extensions of a kind: first the built-in ones, then those of other packages.
+    """Collect all extensions of a kind by name: first the built-in ones, then those of other packages.
 
-    Parameters
-    ----------
-    group : str
-        Group of the entry points; also the name of the package that holds the built-in modules.
-    kind : type
-        Class of the extensions.
-    modules : sequence of str
-        Names of the built-in modules, in the order of the result; ``module:NAME`` where a module holds several.
-    attribute : str
-        Name of the extension in a built-in module that holds one.
-
-    Returns
-    -------
-    dict
-        Extensions by name.
+    group: of the entry points, and name of the package of the built-in modules; kind: class of the extensions; modules:
+    built-in modules, ``module:NAME`` where one holds several extensions; attribute: its name where it holds one.
     """
     found: dict[str, _Kind] = {}
     for place in modules:
@@ -77,22 +64,10 @@ def registered(group: str, kind: type[_Kind], modules: Sequence[str], attribute:
 
 
 def load(group: str, kind: type[_Kind]) -> dict[str, _Kind]:
-    """Load the extensions of other packages.
+    """Load the extensions of other packages, by the name of their entry point.
 
     An extension that cannot be loaded, or that is not of the right class, is left out. The reason is kept in
     ``FAILED``, for an error message if somebody asks for this extension.
-
-    Parameters
-    ----------
-    group : str
-        Group of the entry points, for example ``sugiyama_ros.effects``.
-    kind : type
-        Class that every extension must have.
-
-    Returns
-    -------
-    dict
-        Extensions by the name of their entry point, sorted by this name.
     """
     found: dict[str, _Kind] = {}
     for point in entry_points(group):
@@ -111,19 +86,7 @@ def load(group: str, kind: type[_Kind]) -> dict[str, _Kind]:
 
 
 def find(extensions: Mapping[str, _Kind], group: str, name: str, what: str) -> _Kind:
-    """Look up an extension. Raises InputError, which lists the names, for an unknown one.
-
-    Parameters
-    ----------
-    extensions : mapping
-        Extensions by name.
-    group : str
-        Group of their entry points.
-    name : str
-        Name that is looked up.
-    what : str
-        Kind of extension in words, for the message, such as "effect".
-    """
+    """Look up an extension; ``what``: its kind in words. Raises InputError, which lists the names."""
     if name in extensions:
         return extensions[name]
     if (group, name) in FAILED:

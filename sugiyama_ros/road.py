@@ -37,18 +37,7 @@ class Road:
         return self.circumference_m > 0.0
 
     def wrap(self, position_m: Array) -> Array:
-        """Bring positions into one turn of the ring.
-
-        Parameters
-        ----------
-        position_m : ndarray, any shape
-            Positions [m].
-
-        Returns
-        -------
-        ndarray, shape of ``position_m``
-            Positions [m] from 0 to below the circumference. On an open road, the positions as they are.
-        """
+        """Bring positions [m] into one turn of a ring, from 0 to below the circumference; nothing on an open road."""
         if not self.is_ring:
             return position_m
         wrapped = np.mod(position_m, self.circumference_m)
@@ -56,52 +45,20 @@ class Road:
         return np.where(wrapped >= self.circumference_m, 0.0, wrapped)
 
     def difference(self, ahead_m: Array, behind_m: Array) -> Array:
-        """Compute the signed distance from one position to another, the shorter way around a ring.
-
-        Parameters
-        ----------
-        ahead_m, behind_m : ndarray, shapes that broadcast
-            Positions [m].
-
-        Returns
-        -------
-        ndarray
-            Distance [m] from ``behind_m`` to ``ahead_m``; on a ring at most half a circumference in size.
-        """
+        """Compute the signed distance [m] from ``behind_m`` to ``ahead_m``; on a ring, the shorter way around."""
         way = ahead_m - behind_m
         if not self.is_ring:
             return way
         return way - self.circumference_m * np.round(way / self.circumference_m)
 
     def space_headway(self, leader_m: Array, own_m: Array) -> Array:
-        """Compute the distance forward from a vehicle's centre to the centre of its leader.
-
-        Parameters
-        ----------
-        leader_m, own_m : ndarray, shapes that broadcast
-            Positions [m] of the leader and of the vehicle itself.
-
-        Returns
-        -------
-        ndarray
-            Space headway [m]; on a ring from 0 to below the circumference.
-        """
+        """Compute the distance [m] forward from a vehicle to its leader; on a ring, below the circumference."""
         return self.wrap(leader_m - own_m)
 
     def unwrap(self, position_m: Array) -> Array:
-        """Make positions continuous in time, so that they keep growing from turn to turn.
+        """Make positions [m] of T samples, shape (T, ...), continuous in time, so that they grow from turn to turn.
 
-        Between two known samples, a vehicle is assumed to move less than half a circumference.
-
-        Parameters
-        ----------
-        position_m : ndarray, shape (T, ...)
-            Positions [m] at T samples; NaN where unknown.
-
-        Returns
-        -------
-        ndarray, shape (T, ...)
-            Continuous positions [m]; NaN stays NaN. On an open road, the positions as they are.
+        Between two known samples, a vehicle is assumed to move less than half a circumference. NaN stays NaN.
         """
         if not self.is_ring:
             return position_m

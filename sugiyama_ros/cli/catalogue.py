@@ -1,6 +1,6 @@
 """``sugiyama effects`` and ``sugiyama laws``: what there is, from the declarations."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -46,8 +46,8 @@ def _show(found: Mapping[str, Any], in_detail: bool, as_json: bool) -> None:
         print_line(one.title if one.title == name else f"{one.title} ({name})")
         print_line(f"    {one.summary}")
         for p in one.parameters:
-            text = f"    {p.name} {f'[{p.unit}]' if p.unit not in ('', '1') else ''}".rstrip()
-            print_line(f"{text}: {p.description}; {p.lower:g} to {p.upper:g}")
+            unit = f" [{_unit(p)}]" if _unit(p) else ""
+            print_line(f"    {p.name}{unit}: {p.description}; {p.lower:g} to {p.upper:g}")
         if in_detail:
             print_line(f"    source: {one.source}")
 
@@ -57,11 +57,12 @@ def _document(one: Any) -> dict[str, Any]:
         "title": one.title,
         "summary": one.summary,
         "source": one.source,
-        "parameters": list(_parameters(one.parameters)),
+        "parameters": [
+            {"name": p.name, "unit": _unit(p), "meaning": p.description, "lower": p.lower, "upper": p.upper}
+            for p in one.parameters
+        ],
     }
 
 
-def _parameters(declared: "Iterable[Parameter]") -> Iterable[dict[str, Any]]:
-    for p in declared:
-        unit = "" if p.unit == "1" else p.unit
-        yield {"name": p.name, "unit": unit, "meaning": p.description, "lower": p.lower, "upper": p.upper}
+def _unit(parameter: "Parameter") -> str:
+    return "" if parameter.unit == "1" else parameter.unit
