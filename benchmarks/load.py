@@ -89,7 +89,7 @@ def measure(drivers: int, rate_hz: float, duration_s: float) -> Load:
     rate_hz, duration_s: samples a second [Hz], and how long they come [s]. Raises SugiyamaError.
     """
     environment.isolate()
-    command = [sys.executable, "-m", "sugiyama_ros.nodes.drivers"]
+    command = [sys.executable, "-m", "sugiyama_ros.nodes.executables", "drivers"]
     child = subprocess.Popen(command)
     try:
         with ros():

@@ -18,9 +18,9 @@ from rclpy.publisher import Publisher
 from sugiyama_ros.errors import SugiyamaError
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.nodes.base import environment
+from sugiyama_ros.nodes.base.node import message_type
 from sugiyama_ros.nodes.base.qos import STREAM, WINDOW
 from sugiyama_ros.nodes.base.spin import Spinner, ros
-from sugiyama_ros.nodes.recorder import message_type
 from sugiyama_ros.nodes.run import run
 
 _TIMEOUT_S = 60.0

@@ -28,7 +28,6 @@ from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode, cli
 from sugiyama_ros.nodes.base.parameters import check_driver, declare_driver, driver_of
 from sugiyama_ros.nodes.base.qos import STREAM
 from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER, Sample
-from sugiyama_ros.nodes.base.spin import run_node
 from sugiyama_ros.road import Road
 
 _VERDICT_EVERY_NS = 5 * NS
@@ -214,7 +213,3 @@ def effects_of(message: DriverArray) -> list[dict[str, float]]:
     value = np.array(message.value).reshape(len(message.vehicle), len(message.name)).tolist()
     named = [k for k, name in enumerate(message.name) if name not in NAMES]
     return [{message.name[k]: row[k] for k in named if isfinite(row[k])} for row in value]
-
-
-if __name__ == "__main__":
-    run_node(Critic)

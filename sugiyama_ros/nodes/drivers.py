@@ -1,7 +1,8 @@
 """The node that follows drivers: samples in; state, innovation and parameters of each driver out."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from sugiyama_ros.driver.parameters import NAMES, V_STAR
 from sugiyama_ros.effects.registry import ROW, active, switched_on
 from sugiyama_ros.errors import InputError, SugiyamaError
 from sugiyama_ros.filters.online import Estimate, OnlineFilter, warm_up
-from sugiyama_ros.filters.shown import shown_of
+from sugiyama_ros.filters.shown import ShownParameters, shown_of
 from sugiyama_ros.fit.classes import DriverTypes
 from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.formats.truth import namespace
@@ -31,7 +32,6 @@ from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.parameters import check_driver, declare_adapt, declare_driver, declare_model, driver_of
 from sugiyama_ros.nodes.base.qos import KEPT_STREAM, LATCHED, STREAM
 from sugiyama_ros.nodes.base.samples import Sample
-from sugiyama_ros.nodes.base.spin import run_node
 from sugiyama_ros.nodes.follower import UNKNOWN, DivergedError, Follower
 from sugiyama_ros.nodes.keeper import Kept, file_of, kept_in, read_learnt, write_learnt
 from sugiyama_ros.nodes.outputs import StandardTopics
@@ -56,6 +56,23 @@ class _Followed:
     topics: "_Topics"
     seen_ns: int = _NEVER_NS
     saved_ns: int | None = None
+
+
+@dataclass(eq=False)
+class Told:
+    """What was told of a driver.
+
+    follows: whether the vehicle ever had a leader; scored, squares_m2, nis: number of samples that count, and sums of
+    the squared innovations [m^2] and of their nis; value, identified: parameters by their names, as they were last
+    published, and names of those that the samples determine.
+    """
+
+    follows: bool = False
+    scored: int = 0
+    squares_m2: float = 0.0
+    nis: float = 0.0
+    value: dict[str, float] = field(default_factory=dict)
+    identified: tuple[str, ...] = ()
 
 
 class DriversNode(LifecycleNodeMixin, PacedNode):
@@ -111,6 +128,7 @@ class DriversNode(LifecycleNodeMixin, PacedNode):
         # effects that were added with their values, or removed (None)
         self._changes: dict[str, Mapping[str, float] | None] = {}
         self._topics: dict[int, _Topics] = {}
+        self._told_of: dict[int, Told] = {}
         self._writer: ArrayWriter | None = None
         self._counts, self._visits = new_counts(), {"came": 0, "came again": 0, "retired": 0}
         self._failure = ""
@@ -194,6 +212,13 @@ class DriversNode(LifecycleNodeMixin, PacedNode):
         self._save_all()
         super().finish()
 
+    @property
+    def told(self) -> dict[int, Told]:
+        """What was told of each driver so far, by the numbers of their vehicles."""
+        for topics in self._topics.values():
+            topics.note()
+        return self._told_of
+
     def _on_road(self, road: RoadMessage) -> None:
         """Begin with the first road, and anew with another one."""
         before, self._road = self._road, road
@@ -268,6 +293,8 @@ class DriversNode(LifecycleNodeMixin, PacedNode):
                 self._failure = f"vehicle {vehicle} at {stamp_ns / NS:.3f} s: {error!r}"
                 self.get_logger().error(self._failure)
         driver.seen_ns = max(driver.seen_ns, stamp_ns)
+        if not topics.told.follows and (place := sample.place.get(vehicle)) is not None:
+            topics.told.follows = sample.leader[place] >= 0
         if estimate is None:
             return None
         change = driver.follower.filter.change_of_style
@@ -320,7 +347,7 @@ class DriversNode(LifecycleNodeMixin, PacedNode):
 
     def _topics_of(self, vehicle: int) -> "_Topics":
         space = f"{namespace(vehicle)}/" if self._has_vehicle_topics else ""
-        return _Topics(self, vehicle, self._model.types, space)
+        return _Topics(self, vehicle, self._model.types, space, self._told_of.setdefault(vehicle, Told()))
 
     def _row_of(self, vehicle: int) -> Array:
         """Row (WIDTH,) of a driver: what the model says, with the parameters that were given, and changed effects."""
@@ -340,7 +367,9 @@ class DriversNode(LifecycleNodeMixin, PacedNode):
         """Retire some drivers, and keep what was learnt of them."""
         for vehicle in vehicles:
             follower = self.drivers.pop(vehicle).follower
-            self._topics.pop(vehicle).close()
+            topics = self._topics.pop(vehicle)
+            topics.note()
+            topics.close()
             self._standard.retire(vehicle)
             self._visits["retired"] += 1
             self.known[vehicle] = self._save(follower)
@@ -438,11 +467,12 @@ class _Topics:
     """Publishes what is known of one driver, on topics of their own; or returns it for the message of all drivers.
 
     space: namespace of the driver's own topics within the node's, such as ``vehicle_07/``; empty where all drivers are
-    in one message, and share the topics beside it.
+    in one message, and share the topics beside it; told: notes what is published.
     """
 
-    def __init__(self, node: PacedNode, vehicle: int, types: DriverTypes | None, space: str) -> None:
-        self._node, self._vehicle, self._types, self._space = node, vehicle, types, space
+    def __init__(self, node: PacedNode, vehicle: int, types: DriverTypes | None, space: str, told: Told) -> None:
+        self._node, self._vehicle, self._types, self._space, self.told = node, vehicle, types, space, told
+        self._shown: ShownParameters | None = None
         self._stamp_ns: int | None = None
         # the largest speed [m/s] so far
         self._fastest = 0.0
@@ -462,6 +492,12 @@ class _Topics:
         if self._space:
             for topic in self._own:
                 self._node.end_stream(topic)
+
+    def note(self) -> None:
+        """Note the parameters as they were last published."""
+        if self._shown is not None:
+            self.told.value = dict(zip(self._names.shown, self._shown.value.tolist(), strict=True))
+            self.told.identified = tuple(compress(self._names.shown, self._shown.identified.tolist()))
 
     def show(self, row: Array, filter_: OnlineFilter) -> None:
         """Publish a filter from now on: the driver's parameters, and those of the law and the effects in a row."""
@@ -483,11 +519,16 @@ class _Topics:
         self, stamp_ns: int, estimate: Estimate, change: tuple[str, float] | None, is_last: bool
     ) -> KnownDriver | None:
         """Publish the estimate, a change of style (name and factor), and once a second of the data the parameters."""
-        send, vehicle, shown, known = self._node.send, self._vehicle, self._shown, None
+        send, vehicle, shown, told, known = self._node.send, self._vehicle, self._shown, self.told, None
+        assert shown is not None, "a driver who is published has a filter"
         self._fastest = max(self._fastest, estimate.speed)
         is_due = is_last or self._stamp_ns is None or stamp_ns - self._stamp_ns >= _PARAMETERS_EVERY_NS
         if is_due or not self._space:
-            self._read()
+            self._read(shown)
+        if estimate.scored:
+            told.scored += 1
+            told.squares_m2 += estimate.innovation_m**2
+            told.nis += estimate.nis
         if self._space:
             send(self._to_state, cdr_messages.state(stamp_ns, vehicle, estimate))
             send(self._to_innovation, cdr_messages.innovation(stamp_ns, vehicle, estimate))
@@ -505,14 +546,13 @@ class _Topics:
                 send(self._to_parameters, raw)
             if self._types is not None:
                 probability = self._types.probabilities(self._filter.learnt, self._filter.prior).tolist()
-                told = DriverType(vehicle=vehicle, probability=probability)
-                told.header.stamp, told.header.frame_id = time_message(stamp_ns), FRAME
-                send(self._to_type[0], told)
+                of_type = DriverType(vehicle=vehicle, probability=probability)
+                of_type.header.stamp, of_type.header.frame_id = time_message(stamp_ns), FRAME
+                send(self._to_type[0], of_type)
         return known
 
-    def _read(self) -> None:
+    def _read(self, shown: ShownParameters) -> None:
         """Read what the filter knows. A desired speed beyond what these speeds can tell is not identified."""
-        shown = self._shown
         shown.read()
         if self._v_star is not None and shown.value[V_STAR] > largest_v_star(self._fastest):
             shown.adapted_identified[self._v_star] = False
@@ -521,7 +561,3 @@ class _Topics:
 def _shared_topics(types: DriverTypes | None) -> list[tuple[type, str]]:
     """Classes and names of the topics that each driver has also where they are in one message with other drivers."""
     return [(StyleChange, "style_change"), *([(DriverType, "driver_type")] if types is not None else [])]
-
-
-if __name__ == "__main__":
-    run_node(DriversNode)

@@ -1,5 +1,7 @@
 """The executables of the nodes, such as ``sugiyama_replay``: each runs one node, or says in one line what is missing.
 
+``python -m sugiyama_ros.nodes.executables replay`` is the same where they are not installed.
+
 This module imports nothing of ROS, so that it can say that ROS is not there.
 """
 
@@ -55,3 +57,6 @@ def run(node: str) -> None:
 
 
 critic, drivers, keeper, recorder, replay, simulator, tracks = (partial(run, node) for node in NODES)
+
+if __name__ == "__main__":
+    run(sys.argv.pop(1))

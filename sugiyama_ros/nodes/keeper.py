@@ -24,7 +24,6 @@ from sugiyama_ros.filters.online import Learnt
 from sugiyama_ros.nodes.base.cdr_messages import NS
 from sugiyama_ros.nodes.base.node import OK, Health, PacedNode
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
-from sugiyama_ros.nodes.base.spin import run_node
 
 # An estimator may learn a value beyond the declared bounds, but not by more than this factor; smallest logarithm.
 _BEYOND, _LEAST = 100.0, -20.0
@@ -127,7 +126,3 @@ class Keeper(PacedNode):
                 self._kept[topic] = self.create_publisher(DriverParameters, f"{found[1]}/_kept_parameters", LATCHED)
                 keep = partial(self.send, self._kept[topic])
                 self.create_subscription(DriverParameters, topic, keep, STREAM, raw=True)
-
-
-if __name__ == "__main__":
-    run_node(Keeper)

@@ -98,10 +98,13 @@ class RunSettings:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Send the positions of ``source``, follow the drivers, and record everything in ``output``; file: of a replay."""
+    """Send the positions of ``source``, follow the drivers, and record everything in ``output``.
+
+    parameters: of the node that sends the positions.
+    """
 
     source: RecordedPositions | TrackSamples | FromSimulator
-    file: Path | None
+    parameters: Mapping[str, Any]
     output: Path
     settings: RunSettings
 
@@ -137,10 +140,9 @@ class Plan:
 
     def sending(self, followers: Iterable[str]) -> dict[str, Any]:
         """Parameters of the source, which waits for the recorder, the critic, and the nodes that follow drivers."""
-        own = {} if self.file is None else {"source": str(self.file)}
         names = [RECORDER, *followers, *(["critic"] if self.settings.critic else [])]
         waits = {"rate": float(self.settings.rate), "wait_for": [f"/{name}" for name in names]}
-        return {**self.source.parameters, **own, **waits}
+        return {**self.parameters, **waits}
 
     @property
     def recorder(self) -> dict[str, Any]:
@@ -148,7 +150,7 @@ class Plan:
         s = self.source
         about: dict[str, Any] = {"source": s.source, "sha256": s.sha256}
         if isinstance(s, FromSimulator):
-            about |= {f"simulator_{name}": value for name, value in s.parameters.items()}
+            about |= {f"simulator_{name}": value for name, value in self.parameters.items()}
         elif s.names:  # which vehicle has which number, where the numbers are not the names
             about["vehicle_names"] = json.dumps(s.names)
         about |= {
@@ -172,9 +174,8 @@ def plan_of(source: Path | FromSimulator, output: Path, settings: RunSettings) -
 
     Raises InputError, OutputError.
     """
-    file = source if isinstance(source, Path) else None
-    model = source.model if isinstance(source, FromSimulator) else None
-    for path in (file, model, settings.model, output, settings.save_state, settings.resume):
+    given = source if isinstance(source, Path) else source.model
+    for path in (given, settings.model, output, settings.save_state, settings.resume):
         try:
             str(path).encode()
         except UnicodeEncodeError:
@@ -186,8 +187,12 @@ def plan_of(source: Path | FromSimulator, output: Path, settings: RunSettings) -
         raise InputError(f"--engine {settings.engine}: learns no parameters of a law; leave out --engine or --law")
     if settings.save_state is not None:
         make_directory(settings.save_state)
-    opened = samples_of(source, settings.ring_m) if isinstance(source, Path) else source
-    plan = Plan(opened, file, output, settings)
+    if isinstance(source, Path):
+        samples = samples_of(source, settings.ring_m)
+        parameters = {"source": str(source), "ring": samples.road.circumference_m}
+        plan = Plan(samples, parameters, output, settings)
+    else:
+        plan = Plan(source, source.parameters, output, settings)
     _check_saved_states(plan)
     return plan
 

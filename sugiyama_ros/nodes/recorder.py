@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable, Iterable
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +14,8 @@ from sugiyama_ros.formats.definitions import full_text
 from sugiyama_ros.formats.mcap_writer import BagWriter, FolderWriter, Qos
 from sugiyama_ros.nodes.base import cdr_messages, incoming
 from sugiyama_ros.nodes.base.cdr_messages import NS
-from sugiyama_ros.nodes.base.node import ERROR, OK, RECORDER, UNRECORDED, WARN, Health, PacedNode
+from sugiyama_ros.nodes.base.node import ERROR, OK, RECORDER, UNRECORDED, WARN, Health, PacedNode, message_type
 from sugiyama_ros.nodes.base.qos import DEPTH, offered
-from sugiyama_ros.nodes.base.spin import run_node
 
 _POLL_S = 0.2
 # New topics that are subscribed to at one poll.
@@ -33,12 +31,6 @@ _MB = 1_000_000
 #: A stamp that is farther than this [ns] from all samples so far is of another clock.
 _NEAR_NS = 10 * NS
 _STAMPED = ("std_msgs/Header", "builtin_interfaces/Time", "Header")
-
-
-def message_type(type_name: str) -> Any:
-    """Class of a message type, such as ``std_msgs/msg/Header``. Raises ImportError or AttributeError."""
-    package, _, name = type_name.split("/")
-    return getattr(import_module(f"{package}.msg"), name)
 
 
 class Recorder(PacedNode):
@@ -325,7 +317,3 @@ def _writer(path: Path, overwrite: bool, split_mb: float, about: dict[str, str])
             raise InputError(f"{path}: is one file; give a directory, or leave out split_mb")
         return BagWriter(Output(path, overwrite), about)
     return FolderWriter(path, round(split_mb * _MB), about)
-
-
-if __name__ == "__main__":
-    run_node(Recorder)

@@ -16,7 +16,6 @@ from sugiyama_ros.formats.registry import format_of, known_suffixes, read_tracks
 from sugiyama_ros.formats.truth import read_truth
 from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER, PositionSamples
-from sugiyama_ros.nodes.base.spin import run_node
 from sugiyama_ros.nodes.source import Source, TrueTopics, answer
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.placing import Positions
@@ -41,16 +40,7 @@ class RecordedPositions:
         self.trajectories = t
         self.vehicle = t.vehicle.tolist()
         self._leader = np.where(t.leader >= 0, t.vehicle[t.leader], -1)
-
-    @property
-    def true_vehicles(self) -> list[int]:
-        """Vehicles whose true motion is known."""
-        return [] if self.truth is None else self.truth.vehicle.tolist()
-
-    @property
-    def parameters(self) -> dict[str, Any]:
-        """Parameters of a replay that sends the same."""
-        return {"ring": self.road.circumference_m}
+        self.true_vehicles: list[int] = [] if truth is None else truth.vehicle.tolist()
 
     def at(self, step: int) -> Positions:
         """Sample number ``step``."""
@@ -78,7 +68,7 @@ class TrackSamples:
         self.source, self.sha256 = tracks.about.source, tracks.about.sha256
         step, self.start_s = _steps(tracks, self.period_s)
         self.steps = int(step.max(initial=-1)) + 1
-        self.vehicle = _numbers(tracks)
+        self.vehicle, self.true_vehicles = _numbers(tracks), list[int]()
         given = {number: tracks.run_name(run) for run, number in enumerate(self.vehicle)}
         self.names = {} if all(str(number) == name for number, name in given.items()) else given
         order = np.argsort(step, kind="stable")
@@ -91,16 +81,6 @@ class TrackSamples:
         self._position_m, self._length_m = self.road.wrap(tracks.s_m)[order], tracks.length_m[order]
         self._lane = _lanes(tracks)[order] if tracks.lane is not None else None
         self._d_m = None if tracks.d_m is None else tracks.d_m[order]
-
-    @property
-    def true_vehicles(self) -> list[int]:
-        """None: nobody knows the truth about tracks."""
-        return []
-
-    @property
-    def parameters(self) -> dict[str, Any]:
-        """Parameters of a replay that sends the same."""
-        return {"ring": self.road.circumference_m}
 
     @property
     def drivers_per_s(self) -> float:
@@ -224,7 +204,3 @@ class Replay(Source):
             return answer(response, f"{request.time_s:g} s is not within the recording, 0 to {last_s:g} s")
         self.jump(round(request.time_s / self.samples.period_s))
         return answer(response)
-
-
-if __name__ == "__main__":
-    run_node(Replay)

@@ -1,31 +1,24 @@
 """The main job: replay a recording, follow each driver with a filter, and record everything in one MCAP file."""
 
-import json
 import math
 import time
-from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import compress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rclpy.parameter import Parameter
-from sugiyama_msgs.msg import DriverArray
 
-from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import SugiyamaError
 from sugiyama_ros.filters.online import warm_up
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.laws.registry import LAWS
-from sugiyama_ros.nodes.base import cdr_messages, environment, incoming
+from sugiyama_ros.nodes.base import environment
 from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.base.qos import WINDOW
 from sugiyama_ros.nodes.base.spin import Spinner, ros
 from sugiyama_ros.nodes.critic import Critic
-from sugiyama_ros.nodes.drivers import DriversNode
+from sugiyama_ros.nodes.drivers import DriversNode, Told
 from sugiyama_ros.nodes.plan import FromSimulator, Plan, RunSettings, plan_of
 from sugiyama_ros.nodes.recorder import LOG, Recorder
 from sugiyama_ros.nodes.replay import Replay
@@ -37,8 +30,6 @@ from sugiyama_ros.progress import OnProgress
 START_S = 60.0
 #: Longest time [s] that nodes get to come to an orderly end.
 STOP_S = 15.0
-# Parameters of every driver; a message without them is of another node.
-_SHOWN = {"v_star", "kappa_v", "sigma_nu", "sigma_a"}
 
 
 @dataclass(frozen=True)
@@ -46,11 +37,10 @@ class DriverResult:
     """One driver at the end of a run: the last parameters, and how well each next position was predicted.
 
     vehicle, name: number of the vehicle, and its name in the recording; follows: whether the vehicle ever had a leader;
-    v_star, kappa_v, sigma_nu, sigma_a: desired speed [m/s], risk premium [s],
-    measurement noise [m] and acceleration noise [m/s^2]; one_step_rmse_m, nis_mean: root mean square of the innovations
-    [m] and mean of their nis [1], over the scored samples; naN without any; law: parameters of the driver's law by
-    names such as ``idm.T``, in SI units; empty for the paper's driver; identified: parameters that the samples
-    determine.
+    v_star, kappa_v, sigma_nu, sigma_a: desired speed [m/s], risk premium [s], measurement noise [m] and acceleration
+    noise [m/s^2]; one_step_rmse_m, nis_mean: root mean square of the innovations [m] and mean of their nis [1], over
+    the scored samples; naN without any; law: parameters of the driver's law by names such as ``idm.T``, in SI units;
+    empty for the paper's driver; identified: parameters that the samples determine.
     """
 
     vehicle: int
@@ -146,7 +136,8 @@ class RunNodes:
                 SimulatorNode(**given) if isinstance(plan.source, FromSimulator) else Replay(plan.source, **given)
             )
             self.all.append(self.source)
-            self.all.append(DriversNode(parameter_overrides=_overrides(plan.drivers)))
+            self.drivers = DriversNode(parameter_overrides=_overrides(plan.drivers))
+            self.all.append(self.drivers)
             if plan.settings.critic:
                 self.all.append(Critic())
             self._followers = self.all[1:]
@@ -193,10 +184,12 @@ def _overrides(parameters: Mapping[str, Any]) -> list[Parameter]:
 
 def _result(plan: Plan, nodes: RunNodes, wall_s: float, interrupted: bool) -> RunResult:
     """Compare what the nodes say that they published with what is in the finished file."""
-    counts, drivers = read_run(plan.output)
+    with Bag(plan.output) as bag:
+        counts = {topic.name: topic.count for topic in bag.info().topics}
     steps, recorded = nodes.steps, sum(count for topic, count in counts.items() if topic != LOG)
     # For a sample that a filter missed, nothing was published: these topics then have too few messages.
     short = sum(steps - counts.get(topic, 0) for topic in plan.paced_topics)
+    names = {} if isinstance(plan.source, FromSimulator) else plan.source.names
     return RunResult(
         steps=steps,
         vehicles=len(plan.vehicles),
@@ -207,101 +200,22 @@ def _result(plan: Plan, nodes: RunNodes, wall_s: float, interrupted: bool) -> Ru
         real_time_factor=plan.source.period_s * steps / max(nodes.source.sent_for_s, 1e-9),
         output=plan.output,
         interrupted=interrupted,
-        drivers=drivers,
+        drivers=tuple(_driver(v, names.get(v, str(v)), told) for v, told in sorted(nodes.drivers.told.items())),
     )
 
 
-def read_run(path: Path) -> tuple[dict[str, int], tuple[DriverResult, ...]]:
-    """Read the file of a run once.
-
-    Returns counts: number of messages on each topic; drivers: the drivers, in the order of their numbers. Raises
-    InputError.
-    """
-    read = _Read()
-    with Bag(path) as bag:
-        about = bag.info()
-        read.names = json.loads(about.metadata.get("sugiyama", {}).get("vehicle_names", "{}"))
-        wanted = {topic.name for topic in about.topics if topic.type in read.kinds}
-        for topic, kind, _, raw in bag.raw_messages(wanted):
-            read.kinds[kind](topic, raw)
-    counts = {topic.name: topic.count for topic in about.topics}
-    return counts, tuple(sorted(read.drivers(), key=lambda driver: driver.vehicle))
-
-
-class _Read:
-    """What is read of the messages: who follows, scores of all samples, and the last message about each driver."""
-
-    def __init__(self) -> None:
-        #: What takes in a message, by the type of the message.
-        self.kinds = {
-            "sugiyama_msgs/msg/MeasuredPositions": self._measured,
-            "sugiyama_msgs/msg/Innovation": self._innovation,
-            "sugiyama_msgs/msg/DriverParameters": self._parameters,
-            "sugiyama_msgs/msg/DriverArray": self._array,
-        }
-        #: Names of vehicles, by their numbers as texts, where the names are not the numbers.
-        self.names: dict[str, str] = {}
-        self._innovations: list[bytes] = []
-        self._following: set[int] = set()
-        self._scores: defaultdict[int, list[tuple[float, float]]] = defaultdict(list)
-        self._last: dict[str, bytes] = {}
-        self._last_array: dict[int, DriverArray] = {}
-
-    def _measured(self, _: str, raw: bytes) -> None:
-        with suppress(incoming.RefusedError):
-            sample = incoming.sample(raw)
-            self._following.update(v for v, place in sample.place.items() if sample.leader[place] >= 0)
-
-    def _innovation(self, _: str, raw: bytes) -> None:
-        self._innovations.append(raw)
-
-    def _parameters(self, topic: str, raw: bytes) -> None:
-        self._last[topic] = raw
-
-    def _array(self, _: str, raw: bytes) -> None:
-        try:
-            message = incoming.drivers(raw)
-        except incoming.RefusedError:
-            return
-        scores = zip(message.vehicle, message.scored, message.innovation_m, message.nis, strict=True)
-        for vehicle, scored, innovation_m, nis in scores:
-            self._last_array[vehicle] = message
-            if scored:
-                self._scores[vehicle].append((innovation_m**2, nis))
-
-    def drivers(self) -> Iterator[DriverResult]:
-        """Every driver."""
-        innovation = cdr_messages.read_innovations(self._innovations)
-        scored = innovation[innovation["scored"]]
-        scores = np.column_stack([np.square(scored["innovation_m"]), scored["nis"]])
-        for vehicle in np.unique(scored["vehicle"]).tolist():
-            self._scores[vehicle] += scores[scored["vehicle"] == vehicle].tolist()
-        for raw in self._last.values():
-            with suppress(incoming.RefusedError):
-                m = incoming.parameters(raw)
-                if set(m.name) >= _SHOWN:
-                    known = tuple(compress(m.name, m.identified))
-                    yield self._driver(m.vehicle, m.name, np.array(m.value), known)
-        for vehicle, array in self._last_array.items():
-            values = np.reshape(array.value, (len(array.vehicle), len(array.name)))
-            row, adapted = list(array.vehicle).index(vehicle), list(compress(array.name, array.estimated))
-            known = tuple(compress(adapted, array.identified[row * len(adapted) : (row + 1) * len(adapted)]))
-            yield self._driver(vehicle, array.name, values[row], known)
-
-    def _driver(self, vehicle: int, names: Sequence[str], values: Array, identified: tuple[str, ...]) -> DriverResult:
-        parameters = dict(zip(names, values.tolist(), strict=True))
-        score = self._scores[vehicle]
-        squared, nis = np.array(score).mean(axis=0).tolist() if score else (math.nan, math.nan)
-        return DriverResult(
-            vehicle=vehicle,
-            name=self.names.get(str(vehicle), str(vehicle)),
-            follows=vehicle in self._following,
-            v_star=parameters["v_star"],
-            kappa_v=parameters["kappa_v"],
-            sigma_nu=parameters["sigma_nu"],
-            sigma_a=parameters["sigma_a"],
-            one_step_rmse_m=math.sqrt(squared),
-            nis_mean=nis,
-            law={name: value for name, value in parameters.items() if name.partition(".")[0] in LAWS},
-            identified=identified,
-        )
+def _driver(vehicle: int, name: str, told: Told) -> DriverResult:
+    squared, nis = (total / told.scored if told.scored else math.nan for total in (told.squares_m2, told.nis))
+    return DriverResult(
+        vehicle=vehicle,
+        name=name,
+        follows=told.follows,
+        v_star=told.value["v_star"],
+        kappa_v=told.value["kappa_v"],
+        sigma_nu=told.value["sigma_nu"],
+        sigma_a=told.value["sigma_a"],
+        one_step_rmse_m=math.sqrt(squared),
+        nis_mean=nis,
+        law={name: value for name, value in told.value.items() if name.partition(".")[0] in LAWS},
+        identified=told.identified,
+    )

@@ -18,7 +18,6 @@ from sugiyama_ros.nodes.base.cdr_messages import NS
 from sugiyama_ros.nodes.base.incoming import RefusedError
 from sugiyama_ros.nodes.base.node import ERROR, Health
 from sugiyama_ros.nodes.base.parameters import declare_driver
-from sugiyama_ros.nodes.base.spin import run_node
 from sugiyama_ros.nodes.source import Source, TrueTopics, answer
 from sugiyama_ros.simulation.experiment import Experiment, changed, set_up
 from sugiyama_ros.simulation.result import parameters_of
@@ -160,7 +159,3 @@ def _changed_driver(row: Array, values: Mapping[str, float]) -> Array:
         else:
             own[name] = value
     return changed(row[None], own, effects)[0]
-
-
-if __name__ == "__main__":
-    run_node(SimulatorNode)

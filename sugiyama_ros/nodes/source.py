@@ -1,5 +1,6 @@
 """A source of measured positions: paced by its subscribers and, if wanted, by the clock."""
 
+import re
 import time
 from collections.abc import Iterable
 from math import pi
@@ -8,6 +9,7 @@ from typing import Any
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Quaternion, Vector3
+from numpy.typing import NDArray
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
@@ -17,7 +19,7 @@ from sugiyama_msgs.msg import MeasuredPositions, Progress, TrueParameters, Truth
 from sugiyama_msgs.msg import Road as RoadMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
-from sugiyama_ros.arrays import Array
+from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.formats.truth import namespace, truth_message
@@ -47,8 +49,6 @@ _SEC, _NANOSEC, _ID = 0x5EC0_5EC0, 0x7A0_7A07, 0x1D1D_1D1D
 _REAL = {name: (k + 1.2345) * 1e-300 for k, name in enumerate(("x", "y", "z", "w", "length"))}
 _MARK = {"sec": _SEC, "nanosec": _NANOSEC, "id": _ID, **_REAL}
 _DTYPES = {"sec": "<i4", "nanosec": "<u4", "id": "<i4", **dict.fromkeys(_REAL, "<f8")}
-# Bytes before the count of the markers, and behind it.
-_COUNT_AT, _FIRST_AT = 4, 8
 
 
 class Source(PacedNode):
@@ -358,62 +358,46 @@ class Markers:
 
     The vehicles are on a circle for a ring, and along the x axis for an open road. Each message replaces the message
     before. A message object of 22 boxes takes longer to make than the filters of 22 drivers take for a step, so the
-    bytes are made once and filled with new numbers.
+    bytes of so many boxes are made once, and filled with new numbers.
     """
 
     def __init__(self, road: Road) -> None:
         self._road = road
-        first = [_marker(Marker.DELETEALL), *([_line(road)] if road.is_ring else [])]
-        box = _marker(Marker.ADD, "vehicles", _ID, Marker.CUBE, _BLUE)
-        box.pose.position = Point(x=_REAL["x"], y=_REAL["y"])
-        box.pose.orientation = Quaternion(z=_REAL["z"], w=_REAL["w"])
-        box.scale = Vector3(x=_REAL["length"], y=_WIDTH_M, z=_HEIGHT_M)
-        # where a box stands decides how many bytes align its numbers; after two boxes, this begins anew
-        none, one, two = (_bytes_of([*first, *[box] * count]) for count in range(3))
-        self._before, self._box_bytes = len(first), len(one) - len(none)
-        self._first, self._stamps = np.frombuffer(none, np.uint8), [_places(none, name) for name in ("sec", "nanosec")]
-        pair = two[len(none) :]
-        self._pair = np.frombuffer(pair, np.uint8)
-        fields = [(f"{name}{k}", _DTYPES[name], at) for name in _MARK for k, at in enumerate(_places(pair, name))]
-        names, formats, offsets = zip(*fields, strict=True)
-        self._numbers = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": len(pair)})
+        self._layouts: dict[int, tuple[NDArray[np.uint8], dict[str, Ints]]] = {}
 
     def message(self, stamp_ns: int, positions: Positions) -> bytes:
         """Bytes of the message for a sample at a stamp [ns]."""
         position, length = np.array(positions.position_m), np.array(positions.length_m)
         known = np.isfinite(position)
         x, y, heading = _on_the_plane(self._road, position[known])
-        stamp = [np.array(number, dtype) for number, dtype in zip(divmod(stamp_ns, NS), ("<i4", "<u4"), strict=True)]
-        count, number = len(x), np.array(positions.vehicle)[known]
-        values = np.full(count, stamp[0]), np.full(count, stamp[1]), number, x, y, np.sin(0.5 * heading)
-        columns = dict(zip(_MARK, (*values, np.cos(0.5 * heading), length[known]), strict=True))
-        first = self._first.copy()
-        first[_COUNT_AT:_FIRST_AT] = np.frombuffer(np.uint32(self._before + count).tobytes(), np.uint8)
-        for places, one in zip(self._stamps, stamp, strict=True):
-            for at in places:
-                first[at : at + 4] = np.frombuffer(one.tobytes(), np.uint8)
-        boxes = np.tile(self._pair, ((count + 1) // 2, 1))
-        filled = boxes.view(self._numbers)[:, 0] if count else np.empty(0, self._numbers)
-        for name, column in columns.items():
-            for k in range(2):
-                filled[f"{name}{k}"][: len(column[k::2])] = column[k::2]
-        last = count // 2 * len(self._pair) + count % 2 * self._box_bytes
-        return bytes(np.concatenate([first, boxes.ravel()[:last]]))
+        if len(x) not in self._layouts:
+            self._layouts[len(x)] = self._layout(len(x))
+        template, places = self._layouts[len(x)]
+        sec, nanosec = divmod(stamp_ns, NS)
+        numbers = {"id": np.array(positions.vehicle)[known], "x": x, "y": y, "length": length[known]}
+        numbers |= {"z": np.sin(0.5 * heading), "w": np.cos(0.5 * heading), "sec": sec, "nanosec": nanosec}
+        raw = template.copy()
+        for name, at in places.items():
+            values = np.broadcast_to(np.asarray(numbers[name], _DTYPES[name]), len(at))
+            raw[at] = np.ascontiguousarray(values).view(np.uint8).reshape(at.shape)
+        return raw.tobytes()
+
+    def _layout(self, count: int) -> tuple[NDArray[np.uint8], dict[str, Ints]]:
+        """Bytes of a message with so many boxes, and where the bytes of each number stand, (places, size)."""
+        box = _marker(Marker.ADD, "vehicles", _ID, Marker.CUBE, _BLUE)
+        box.pose.position = Point(x=_REAL["x"], y=_REAL["y"])
+        box.pose.orientation = Quaternion(z=_REAL["z"], w=_REAL["w"])
+        box.scale = Vector3(x=_REAL["length"], y=_WIDTH_M, z=_HEIGHT_M)
+        first = [_marker(Marker.DELETEALL), *([_line(self._road)] if self._road.is_ring else [])]
+        raw = bytes(serialize_message(MarkerArray(markers=[*first, *[box] * count])))
+        places = {name: _places(raw, np.array(_MARK[name], _DTYPES[name]).tobytes()) for name in _MARK}
+        return np.frombuffer(raw, np.uint8), {name: at for name, at in places.items() if len(at)}
 
 
-def _bytes_of(markers: list[Marker]) -> bytes:
-    """Bytes of a message with markers, up to where the next marker would begin."""
-    raw = bytes(serialize_message(MarkerArray(markers=markers)))
-    return raw.ljust(-(-len(raw) // 4) * 4, b"\0")
-
-
-def _places(raw: bytes, name: str) -> list[int]:
-    """Where a special number stands."""
-    mark = np.array(_MARK[name], _DTYPES[name]).tobytes()
-    found = [raw.find(mark)]
-    while found[-1] >= 0:
-        found.append(raw.find(mark, found[-1] + 1))
-    return found[:-1]
+def _places(raw: bytes, mark: bytes) -> Ints:
+    """Where the bytes of a special number stand, (places, size)."""
+    starts = np.array([found.start() for found in re.finditer(re.escape(mark), raw)], np.int64)
+    return starts[:, None] + np.arange(len(mark))
 
 
 def _marker(action: int, name: str = "", number: int = 0, shape: int = 0, color: ColorRGBA | None = None) -> Marker:

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from fnmatch import fnmatchcase
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +16,8 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.centre_line import read_lanes
 from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.nodes.base import cdr_messages
-from sugiyama_ros.nodes.base.node import OK, WARN, Health, PacedNode
+from sugiyama_ros.nodes.base.node import OK, WARN, Health, PacedNode, message_type
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM, offered
-from sugiyama_ros.nodes.base.spin import run_node
 from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M
 
 _POLL_S = 0.2
@@ -87,11 +85,10 @@ class TracksNode(PacedNode):
 
     def _subscribe(self, topic: str, kind: str, take: Callable[[Any], None]) -> bool:
         """Take what comes on a topic; False where its type is not installed."""
-        package, _, name = kind.split("/")
         try:
-            message = getattr(import_module(f"{package}.msg"), name)
+            message = message_type(kind)
         except (ImportError, AttributeError):
-            self._leave_out(topic, f"{kind} is not installed; install {package}")
+            self._leave_out(topic, f"{kind} is not installed; install {kind.partition('/')[0]}")
             return False
         self._known.add(topic)
         self.listen(message, topic, take, offered(self.get_publishers_info_by_topic(topic)))
@@ -124,7 +121,3 @@ class TracksNode(PacedNode):
         )
         message.header.frame_id = FRAME
         self.send(self._to_road, message)
-
-
-if __name__ == "__main__":
-    run_node(TracksNode)

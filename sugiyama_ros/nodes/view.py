@@ -3,7 +3,7 @@
 import math
 import time
 from collections import OrderedDict, deque
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -116,33 +116,25 @@ class View(Node):
         self.rate, self._recorded_to = rate, recording
         self.road = Road()
         self.space, self.error = Log(0), Log(KEPT)
-        self._critic: dict[str, Log] = {}
-        self.critic: Mapping[str, Log] = self._critic
+        self.critic: dict[str, Log] = {}
         self.best, self.is_settled = "", False
-        self._driver: dict[int, Log] = {}
-        self.driver: Mapping[int, Log] = self._driver
-        self.vehicles: Sequence[int] = ()
-        self.gains: Mapping[str, float] = {}
-        self._now: dict[int, tuple[float, float]] = {}
-        self.now: Mapping[int, tuple[float, float]] = self._now
-        self._lanes: dict[int, int] = {}
-        self.lanes: Mapping[int, int] = self._lanes
-        self._learnt: dict[int, Log] = {}
-        self.learnt: Mapping[int, Log] = self._learnt
-        self.followers: Collection[int] = frozenset()
-        self.here: Collection[int] = frozenset()
-        self.led: Collection[int] = frozenset()
-        self._adapted: dict[int, tuple[float, float, float, float]] = {}
-        self.adapted: Mapping[int, tuple[float, float, float, float]] = self._adapted
-        self.added: Sequence[str] = ()
-        self._changed_s: list[float] = []
-        self.changed_s: Sequence[float] = self._changed_s
-        self._events: deque[str] = deque(maxlen=_EVENTS)
-        self.events: Sequence[str] = self._events
+        self.gains: dict[str, float] = {}
+        self.vehicles: list[int] = []
+        self.driver: dict[int, Log] = {}
+        self.learnt: dict[int, Log] = {}
+        self.now: dict[int, tuple[float, float]] = {}
+        self.lanes: dict[int, int] = {}
+        self.followers: set[int] = set()
+        self.here: set[int] = set()
+        self.led: set[int] = set()
+        self.adapted: dict[int, tuple[float, float, float, float]] = {}
+        self.added: list[str] = []
+        self.changed_s: list[float] = []
+        self.events: deque[str] = deque(maxlen=_EVENTS)
         self.said = ""
         self._road: RoadMessage | None = None
-        self.effects: Mapping[str, str] = can_be_added(self._recording())
-        self.titles: Mapping[str, str] = {name: e.title for name, e in EFFECTS.items()}
+        self.effects = can_be_added(self._recording())
+        self.titles = {name: e.title for name, e in EFFECTS.items()}
         # the critic's values of all parameters of effects
         self._fitted: dict[str, float] = {}
         self._joined: dict[int, _Joined] = {}
@@ -220,7 +212,7 @@ class View(Node):
         request = AddEffect.Request(effect=name, name=list(found), value=list(found.values()))
 
         def on_success() -> None:
-            self.added = tuple(dict.fromkeys([*self.added, name]))
+            self.added = list(dict.fromkeys([*self.added, name]))
             self._changed(f"{self.titles.get(name, name)} added ({values})")
 
         self._call(AddEffect, [f"{node}/add_effect" for node in followers(self)], request, on_success)
@@ -229,7 +221,7 @@ class View(Node):
         """Call ~/remove_effect of every node that follows drivers."""
 
         def on_success() -> None:
-            self.added = tuple(one for one in self.added if one != name)
+            self.added = [one for one in self.added if one != name]
             self._changed(f"{self.titles.get(name, name)} removed")
 
         services = [f"{node}/remove_effect" for node in followers(self)]
@@ -238,10 +230,10 @@ class View(Node):
     def _changed(self, what: str) -> None:
         """Note that the models have other effects from now on."""
         self._happened(what)
-        self._changed_s.append(self._latest_s)
+        self.changed_s.append(self._latest_s)
 
     def _happened(self, what: str) -> None:
-        self._events.appendleft(f"{self._latest_s:.0f} s: {what}" if math.isfinite(self._latest_s) else what)
+        self.events.appendleft(f"{self._latest_s:.0f} s: {what}" if math.isfinite(self._latest_s) else what)
 
     def _recording(self) -> Extent:
         ring_m = self.road.circumference_m
@@ -290,16 +282,16 @@ class View(Node):
         while self._arrived[-1][0] - self._arrived[0][0] > _RATE_S:
             self._arrived.popleft()
         for vehicle in [v for v in self.now if v not in sample.place]:
-            del self._now[vehicle]
+            del self.now[vehicle]
             self._happened(f"vehicle {vehicle} has left")
         if new := sorted(set(sample.place) - set(self.vehicles)):
             self._meet(new)
         self.here = set(sample.place)
-        self.led = {*self.led, *(v for v, p in sample.place.items() if sample.leader[p] >= 0)}
+        self.led.update(v for v, p in sample.place.items() if sample.leader[p] >= 0)
         for vehicle, place in sample.place.items():
             self._joined[vehicle].take(_Joined.MEASURED, time_s, sample.position_m[place])
         if sample.lane:
-            self._lanes.update({v: sample.lane[p] for v, p in sample.place.items() if sample.lane[p] >= 0})
+            self.lanes.update({v: sample.lane[p] for v, p in sample.place.items() if sample.lane[p] >= 0})
         errors = self._base.follow(sample) if self._base is not None else []
         error = self._base_moving.add(time_s, sum(e * e for e in errors), len(errors))
         self._measured[_milliseconds(time_s)] = {v: sample.position_m[p] for v, p in sample.place.items()}, error
@@ -319,8 +311,8 @@ class View(Node):
         """Subscribe to the topics of some vehicles."""
         for v in vehicles:
             space = f"/{namespace(v)}"
-            self._driver[v], self._learnt[v] = Log(KEPT), Log(KEPT)
-            self._joined[v] = _Joined(self._driver[v])
+            self.driver[v], self.learnt[v] = Log(KEPT), Log(KEPT)
+            self._joined[v] = _Joined(self.driver[v])
             if self._are_together:
                 continue
             self._listen(VehicleState, f"{space}/state", self._on_state)
@@ -352,7 +344,7 @@ class View(Node):
             return
         self._joined[v].take(_Joined.STATE, time_s, speed, math.sqrt(max(variance, 0.0)))
         if v in self.here:  # estimates of who has left may come late
-            self._now[v] = (position, speed)
+            self.now[v] = (position, speed)
         self.space.add(time_s, position, speed)
 
     def _on_parameters(self, message: DriverParameters) -> None:
@@ -368,8 +360,8 @@ class View(Node):
     def _learn(self, time_s: float, v: int, adapted: tuple[float, float, float, float]) -> None:
         """Note v*, its std, kappa_v and its std of a driver at a time [s]."""
         if v in self.driver:
-            self._adapted[v] = adapted
-            self._learnt[v].add(time_s, *adapted)
+            self.adapted[v] = adapted
+            self.learnt[v].add(time_s, *adapted)
 
     def _on_change(self, message: StyleChange) -> None:
         what = _WORDS.get(message.name, message.name)
@@ -382,7 +374,7 @@ class View(Node):
         if v not in self.driver:
             return
         if scored and (v in self.led or not self.led):
-            self.followers = {*self.followers, v}
+            self.followers.add(v)
         if _milliseconds(time_s) > _milliseconds(self._latest_s):
             self._take_error(time_s, innovation**2 if scored else math.nan)
         self._joined[v].take(_Joined.INNOVATION, time_s, innovation, math.sqrt(max(variance, 0.0)))
@@ -416,7 +408,7 @@ class View(Node):
             self.gains = dict(zip(message.model, map(float, message.log_likelihood), strict=True))
             time_s = _seconds(message)
             for name, gain in self.gains.items():
-                self._critic.setdefault(name, Log(KEPT)).add(time_s, gain)
+                self.critic.setdefault(name, Log(KEPT)).add(time_s, gain)
         self.best, self.is_settled = str(message.best), bool(message.settled)
 
 

@@ -1,7 +1,6 @@
 """What the live page shows, and what its buttons do; the node behind the page offers it."""
 
 from collections import deque
-from collections.abc import Collection, Mapping, Sequence
 from itertools import islice
 from typing import NamedTuple, Protocol
 
@@ -74,27 +73,27 @@ class Feed(Protocol):
 
     road: Road
     rate: float
-    vehicles: Sequence[int]
+    vehicles: list[int]
     best: str
-    gains: Mapping[str, float]
-    now: Mapping[int, tuple[float, float]]
-    lanes: Mapping[int, int]
-    here: Collection[int]
-    led: Collection[int]
-    followers: Collection[int]
-    adapted: Mapping[int, tuple[float, float, float, float]]
-    effects: Mapping[str, str]
-    titles: Mapping[str, str]
-    added: Sequence[str]
-    changed_s: Sequence[float]
-    events: Sequence[str]
+    gains: dict[str, float]
+    now: dict[int, tuple[float, float]]
+    lanes: dict[int, int]
+    here: set[int]
+    led: set[int]
+    followers: set[int]
+    adapted: dict[int, tuple[float, float, float, float]]
+    effects: dict[str, str]
+    titles: dict[str, str]
+    added: list[str]
+    changed_s: list[float]
+    events: deque[str]
     said: str
     space: Log
     error: Log
     is_settled: bool
-    critic: Mapping[str, Log]
-    driver: Mapping[int, Log]
-    learnt: Mapping[int, Log]
+    critic: dict[str, Log]
+    driver: dict[int, Log]
+    learnt: dict[int, Log]
 
     def status(self) -> Status:
         """Where the recording is."""

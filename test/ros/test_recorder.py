@@ -28,6 +28,7 @@ from sugiyama_ros.nodes.recorder import Recorder
 from sugiyama_ros.trajectories.placing import Positions
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
+RECORDER = [sys.executable, "-m", "sugiyama_ros.nodes.executables", "recorder"]
 
 
 ALWAYS = ("/diagnostics", "/rosout")
@@ -138,7 +139,15 @@ def test_kill_loses_at_most_a_second(stage, tmp_path: Path) -> None:
     node = Node("sender")
     publisher = node.create_publisher(Header, "beat", STREAM)
     stage.add(node)
-    command = [sys.executable, "-m", "sugiyama_ros.nodes.recorder", "--ros-args", "-p", f"output:={output}"]
+    command = [
+        sys.executable,
+        "-m",
+        "sugiyama_ros.nodes.executables",
+        "recorder",
+        "--ros-args",
+        "-p",
+        f"output:={output}",
+    ]
     child = subprocess.Popen(command)
     sent: list[tuple[int, float]] = []
 
@@ -176,7 +185,15 @@ def test_a_signal_leaves_a_closed_file(stage, tmp_path: Path) -> None:
     node = Node("sender")
     publisher = node.create_publisher(String, "plain", STREAM)
     stage.add(node)
-    command = [sys.executable, "-m", "sugiyama_ros.nodes.recorder", "--ros-args", "-p", f"output:={output}"]
+    command = [
+        sys.executable,
+        "-m",
+        "sugiyama_ros.nodes.executables",
+        "recorder",
+        "--ros-args",
+        "-p",
+        f"output:={output}",
+    ]
     child = subprocess.Popen(command)
     try:
         stage.until(lambda: publisher.get_subscription_count() > 0)

@@ -90,7 +90,7 @@ def test_an_effect_that_nobody_takes_is_not_added_and_nothing_waits(stage, monke
     monkeypatch.setattr(base_node, "_READY_S", 3600.0)
     view.add("drag", "c0=0.1")
     assert view.said == "no node follows drivers"
-    assert view.added == ()
+    assert view.added == []
 
 
 def test_the_page_repeats_the_words_of_the_critic(stage) -> None:

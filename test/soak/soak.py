@@ -134,7 +134,7 @@ class Soak:
             given = {"output": str(output)}
         if name == "replay":
             given = {"source": str(self.source), "loop": True, "rate": self.rate}
-        command = [sys.executable, "-m", f"sugiyama_ros.nodes.{name}", "--ros-args"]
+        command = [sys.executable, "-m", "sugiyama_ros.nodes.executables", name, "--ros-args"]
         for key, value in given.items():
             command += ["-p", f"{key}:={json.dumps(value)}"]
         if name == "page":

@@ -4,6 +4,7 @@ import time
 from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -330,6 +331,12 @@ class PacedNode(Node):
         self._told, self._told_s = (self.steps, self.published, self.is_recorded), time.monotonic()
         self._progress.steps, self._progress.published, self._progress.recorded = self._told
         self._to_progress.publish(self._progress)
+
+
+def message_type(type_name: str) -> Any:
+    """Class of a message type, such as ``std_msgs/msg/Header``. Raises ImportError or AttributeError."""
+    package, _, name = type_name.split("/")
+    return getattr(import_module(f"{package}.msg"), name)
 
 
 def followers(node: Node) -> list[str]:
