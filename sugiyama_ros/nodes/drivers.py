@@ -25,7 +25,7 @@ from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.formats.truth import namespace
 from sugiyama_ros.laws.registry import name_of
 from sugiyama_ros.nodes.base import cdr_messages
-from sugiyama_ros.nodes.base.cdr_messages import NS, ArrayWriter, KnownDriver, ParameterNames, time_message
+from sugiyama_ros.nodes.base.cdr_messages import NS, KnownDriver, ParameterNames, time_message
 from sugiyama_ros.nodes.base.feed import FOLLOWED, WINDOW_S, Arrival, Arrivals, RoadFeed, new_counts
 from sugiyama_ros.nodes.base.incoming import RefusedError, named_values
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
@@ -129,7 +129,6 @@ class DriversNode(LifecycleNodeMixin, PacedNode):
         self._changes: dict[str, Mapping[str, float] | None] = {}
         self._topics: dict[int, _Topics] = {}
         self._told_of: dict[int, Told] = {}
-        self._writer: ArrayWriter | None = None
         self._counts, self._visits = new_counts(), {"came": 0, "came again": 0, "retired": 0}
         self._failure = ""
         self._retired_ns = 0
@@ -267,10 +266,7 @@ class DriversNode(LifecycleNodeMixin, PacedNode):
                 known.append(what)
             missing |= driver.follower.missing_in_a_row > 0
         if known:
-            # a layout of the message is kept while drivers and parameters stay the same
-            if self._writer is None or not self._writer.fits(known):
-                self._writer = ArrayWriter(known)
-            self.send(self.stream(DriverArray, "drivers"), self._writer.message(sample.stamp_ns, known))
+            self.send(self.stream(DriverArray, "drivers"), cdr_messages.driver_array(sample.stamp_ns, known))
         if not self._only and abs(sample.stamp_ns - self._retired_ns) >= _RETIRE_EVERY_NS:
             self._retired_ns = sample.stamp_ns
             before_ns = sample.stamp_ns - self._retire_after_ns
@@ -508,7 +504,6 @@ class _Topics:
         self._filter, self._shown = filter_, shown_of(filter_, shown)
         self._v_star = filter_.adapted.index("v_star") if "v_star" in filter_.adapted else None
         self._names = ParameterNames(tuple(names), filter_.adapted)
-        self._message = cdr_messages.ParametersWriter(self._vehicle, names, filter_.adapted)
         self.restart()
 
     def restart(self) -> None:
@@ -542,8 +537,8 @@ class _Topics:
         if is_due:
             self._stamp_ns = stamp_ns
             if self._space:
-                raw = self._message.message(stamp_ns, shown.value, shown.covariance, shown.identified)
-                send(self._to_parameters, raw)
+                numbers = shown.value, shown.covariance, shown.identified
+                send(self._to_parameters, cdr_messages.parameters(stamp_ns, vehicle, self._names, *numbers))
             if self._types is not None:
                 probability = self._types.probabilities(self._filter.learnt, self._filter.prior).tolist()
                 of_type = DriverType(vehicle=vehicle, probability=probability)

@@ -47,7 +47,7 @@ def sample_of(step: int, vehicles: list[int] | None = None, leaders: int = 3) ->
     positions = [(30.0 * v + 2.0 * (step % 1000)) % RING_M for v in range(3)]
     given = Positions(vehicles or [0, 1, 2], [1, 2, 0], positions, [4.5] * 3)
     if leaders == 3:
-        return cdr_messages.measured_positions(step % 1000 * 500_000_000, step, given)
+        return bytes(serialize_message(cdr_messages.measured_positions(step % 1000 * 500_000_000, step, given)))
     message = MeasuredPositions(step=step, vehicle=given.vehicle, leader=given.leader[:leaders])
     message.position_m, message.length_m = array("d", positions), array("d", given.length_m)
     return bytes(serialize_message(message))
@@ -56,7 +56,7 @@ def sample_of(step: int, vehicles: list[int] | None = None, leaders: int = 3) ->
 def optional(**fields: list[Any]) -> bytes:
     """A sample with optional fields."""
     given = Positions([0, 1, 2], [1, 2, 0], [0.0, 30.0, 60.0], [4.5] * 3, **fields)
-    return cdr_messages.measured_positions(0, 0, given)
+    return bytes(serialize_message(cdr_messages.measured_positions(0, 0, given)))
 
 
 GOOD = sample_of(0)

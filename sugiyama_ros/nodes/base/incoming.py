@@ -19,7 +19,7 @@ from rosidl_parser.definition import AbstractSequence, AbstractString, Array, Ba
 from sugiyama_msgs.msg import DriverArray, DriverParameters, MeasuredPositions, Verdict
 from sugiyama_msgs.msg import Road as RoadMessage
 
-from sugiyama_ros.nodes.base import cdr_messages
+from sugiyama_ros.nodes.base.cdr_messages import NS
 from sugiyama_ros.nodes.base.samples import Sample
 
 #: Steps of a recording, at most; counts of steps stay exact in a double.
@@ -107,10 +107,14 @@ def sample(raw: bytes) -> Sample:
     for arrays of unequal length, numbers below 0, a step that is too large, or a vehicle measured at another time than
     the sample.
     """
-    try:
-        found = cdr_messages.measured(raw)
-    except (ValueError, IndexError, struct.error) as error:
-        raise RefusedError(str(error)) from None
+    message = decoded(raw, MeasuredPositions)
+    lists = ("leader", "position_m", "length_m", "lane", "d_m", "stamp_offset_s", "position_var")
+    found = Sample(
+        stamp_ns=message.header.stamp.sec * NS + message.header.stamp.nanosec,
+        step=message.step,
+        place={vehicle: k for k, vehicle in enumerate(message.vehicle)},
+        **{name: getattr(message, name).tolist() for name in lists},
+    )
     count = len(found.position_m)
     vehicles = max(found.place.values(), default=-1) + 1
     if not count == len(found.leader) == len(found.length_m) == len(found.place) == vehicles:
