@@ -36,7 +36,7 @@ def measure(without: str) -> dict[str, float]:
 
     length = np.full(_DRIVERS, 4.33)
     rng, road = np.random.default_rng(1), Road(_RING_M)
-    t = simulate(Simulator(defaults(_DRIVERS), length, platoon(length, 2.0), road, rng), _DURATION_S).measured
+    t = simulate(Simulator(defaults(_DRIVERS), length, platoon(length, 2.0), road, rng), _DURATION_S).dense
     chains = [chain_behind(t, i) for i in range(_DRIVERS)]
     log_likelihood(chains[0], population())
     cpu, wall = [], []

@@ -10,7 +10,8 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.filters.extract import chain_behind, track
-from sugiyama_ros.formats.registry import read_trajectories
+from sugiyama_ros.formats.choices import Choices
+from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.simulation.collective import wave_speed, wave_speed_error
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
@@ -36,7 +37,7 @@ def along_edge(t: Trajectories, speed: Array, level: float, starts: bool) -> flo
 
 def main(source: Path) -> None:
     """Print the speeds."""
-    t = read_trajectories(source, 230.0)
+    t = read_tracks(source, Choices(ring_m=230.0)).dense()
     tracks = [track(chain_behind(t, i, vehicles=1)) for i in range(len(t.vehicle))]
     position, speed = (np.stack([one[:, k] for one in tracks], axis=1) for k in range(2))
     headway_m = t.road.space_headway(np.take_along_axis(position, t.leader, axis=1), position)

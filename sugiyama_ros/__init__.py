@@ -2,11 +2,11 @@
 
 The Python interface in one line each, with ``import sugiyama_ros as sg``:
 
-- ``sg.read(source)``: trajectories from a file or a data frame;
+- ``sg.read(source)``: tracks from files or a data frame;
 - ``sg.simulate()``: drivers on a ring or an open road, with hidden effects if wanted;
-- ``sg.calibrate(trajectories)``: every driver's parameters, and how well the data hold them;
-- ``sg.compare(trajectories)``: held-out errors beside other car-following laws;
-- ``sg.diagnose(trajectories)``: which physical effect the model lacks;
+- ``sg.calibrate(tracks)``: every driver's parameters, and how well the data hold them;
+- ``sg.compare(tracks)``: held-out errors beside other car-following laws;
+- ``sg.diagnose(tracks)``: which physical effect the model lacks;
 - ``sg.read_recording(path)``: what the estimators published in a recorded run;
 - ``sg.report(run, page)``: a page about a recorded run, with a diagnosis if there is one;
 - ``sg.laws``, ``sg.effects``: what can be simulated, fitted and added, by name.
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sugiyama_ros import effects, laws
-    from sugiyama_ros.api import calibrate, compare, diagnose, read, read_recording, read_tracks, report, simulate
+    from sugiyama_ros.api import calibrate, compare, diagnose, read, read_recording, report, simulate
 
     __version__: str
 
@@ -32,7 +32,6 @@ __all__ = [
     "laws",
     "read",
     "read_recording",
-    "read_tracks",
     "report",
     "simulate",
 ]

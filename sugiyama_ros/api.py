@@ -23,10 +23,8 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.driver import Formulation
 from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.formats.choices import Choices, choices_of, read_choices, reference_of
-from sugiyama_ros.formats.folder import read_files
-from sugiyama_ros.formats.registry import read_tracks as tracks_of_file
-from sugiyama_ros.formats.registry import read_trajectories
-from sugiyama_ros.formats.table import from_frame, tracks_of_frame
+from sugiyama_ros.formats.registry import read_tracks
+from sugiyama_ros.formats.table import tracks_of_frame
 from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.laws.registry import law as law_of
 from sugiyama_ros.page import recording
@@ -37,9 +35,7 @@ from sugiyama_ros.progress import stages
 from sugiyama_ros.results import plain
 from sugiyama_ros.simulation.experiment import Experiment, carry_out, changed
 from sugiyama_ros.simulation.result import Simulation
-from sugiyama_ros.trajectories.one_lane import one_lane
 from sugiyama_ros.trajectories.tracks import Tracks
-from sugiyama_ros.trajectories.trajectories import Trajectories
 
 if TYPE_CHECKING:
     import pandas
@@ -51,40 +47,7 @@ FEW_STEPS = 3
 _CALIBRATE: dict[str, Any] = {"classes": 0, "seed": 0, "law": PAPERS, "scheduler": None}
 
 
-def read(source: "str | Path | pandas.DataFrame", ring_m: float | None = None) -> Trajectories:
-    """Read trajectories from a file or a data frame.
-
-    Parameters
-    ----------
-    source : str, Path or pandas.DataFrame
-        A file in any known format with one recording on one lane, or a data frame with the columns time_s [s],
-        vehicle, position_m [m] and perhaps length_m [m]. Of vehicles with names, the numbers in the names count.
-    ring_m : float, optional
-        Circumference [m] of the ring where the file does not tell; an open road without it.
-
-    Returns
-    -------
-    Trajectories
-        Positions (T, N) of N vehicles at T regular times.
-
-    Raises
-    ------
-    InputError
-        With the line or the field, for what cannot be read.
-
-    Examples
-    --------
-    >>> import sugiyama_ros as sg
-    >>> sg.simulate(vehicles=3, ring_m=40.0, duration_s=10.0).save("three.csv")
-    >>> sg.read("three.csv", ring_m=40.0)
-    <Trajectories: 3 vehicles on a ring of 40 m, 31 samples of 0.3333 s, from three.csv>
-    """
-    if isinstance(source, str | Path):
-        return read_trajectories(Path(source), ring_m)
-    return from_frame(source, ring_m)
-
-
-def read_tracks(
+def read(
     source: "str | Path | Sequence[str | Path] | pandas.DataFrame",
     ring_m: float | None = None,
     name: str = "auto",
@@ -92,14 +55,15 @@ def read_tracks(
     columns: str | Path | Mapping[str, Any] | None = None,
     reference: str | None = None,
 ) -> Tracks:
-    """Read vehicles on any number of lanes from files, a folder or a data frame.
+    """Read vehicles on one or many lanes from files, a folder or a data frame.
 
     Parameters
     ----------
     source : str, Path, sequence of them or pandas.DataFrame
         A file or a folder in any known format; several files, each of which is a recording; or a data frame with the
         columns vehicle, time_s [s] and s_m [m], and perhaps recording, road, lane, d_m, length_m, width_m [m], class,
-        driver, leader and measured.
+        driver, leader and measured. A table with position_m in place of s_m, and without recordings, roads, lanes and
+        leaders, is of one road on which everybody is in view.
     ring_m : float, optional
         Circumference [m] of the ring where the file does not tell; an open road without it.
     name : str
@@ -113,7 +77,8 @@ def read_tracks(
     Returns
     -------
     Tracks
-        A table with a row for each vehicle and time, and the leader of each row.
+        A table with a row for each vehicle and time, and the leader of each row; ``tracks.dense()`` gives positions
+        on one lane as an array (T, N).
 
     Raises
     ------
@@ -124,7 +89,7 @@ def read_tracks(
     --------
     >>> import sugiyama_ros as sg
     >>> sg.simulate(vehicles=3, ring_m=40.0, duration_s=10.0).save("three.csv")
-    >>> sg.read_tracks("three.csv", ring_m=40.0)
+    >>> sg.read("three.csv", ring_m=40.0)
     <Tracks: 3 vehicles in 1 recording, 93 rows, leaders known in 100 %, from three.csv>
     """
     choices = Choices()
@@ -135,10 +100,8 @@ def read_tracks(
         choices = replace(choices, reference=reference_of(reference, "reference"))
     if ring_m is not None:
         choices = replace(choices, ring_m=ring_m)
-    if isinstance(source, str | Path):
-        return tracks_of_file(Path(source), choices, name)
-    if isinstance(source, list | tuple):
-        return read_files([Path(one) for one in source], choices)
+    if isinstance(source, str | Path | list | tuple):
+        return read_tracks(source, choices, name)  # type: ignore[arg-type]
     return tracks_of_frame(source, choices)
 
 
@@ -169,7 +132,7 @@ def simulate(
     Returns
     -------
     Simulation
-        What a camera would have measured (``measured``), and the truth.
+        What a camera would have measured (``measured``; ``dense`` as arrays), and the truth.
 
     Raises
     ------
@@ -180,7 +143,7 @@ def simulate(
     --------
     >>> import sugiyama_ros as sg
     >>> hidden = sg.simulate(vehicles=3, ring_m=40.0, duration_s=10.0, effects={"drag": {"c0": 0.3}})
-    >>> hidden.measured.position_m.shape
+    >>> hidden.dense.position_m.shape
     (31, 3)
     """
     _check_names("simulate", settings, Experiment.__dataclass_fields__)
@@ -200,7 +163,7 @@ def simulate(
 
 
 def calibrate(
-    trajectories: Trajectories | Tracks | Simulation,
+    tracks: Tracks | Simulation,
     formulation: Formulation = "causal",
     parameters: Sequence[str] = (),
     *,
@@ -213,9 +176,8 @@ def calibrate(
 
     Parameters
     ----------
-    trajectories : Trajectories, Tracks or Simulation
-        The recording, or a simulated one. Tracks may have many lanes; ``effects``, ``regularise``, ``classes``
-        and the paper's formulation need one lane on which everybody is present.
+    tracks : Tracks or Simulation
+        The recording, or a simulated one. The paper's formulation needs one lane.
     formulation : {"causal", "paper"}
         Whether perceived states are filtered, or smoothed as in the paper.
     parameters : sequence of str
@@ -228,7 +190,7 @@ def calibrate(
         Whether the intervals come from the profile likelihood, which takes longer.
     **settings
         classes: number of classes of drivers who share all parameters, 0 for parameters of each driver; law: name of
-        the law by which the drivers drive, all of whose parameters are estimated, one lane only; seed: seed of all
+        the law by which the drivers drive, all of whose parameters are estimated; seed: seed of all
         random numbers; scheduler: address of a Dask scheduler whose workers do the work.
 
     Returns
@@ -254,19 +216,16 @@ def calibrate(
     of_search = (said["seed"], said["law"], tuple(effects), said["classes"])
     asked = Settings(formulation, tuple(parameters), regularise, profile, *of_search)
     asked.check()
-    recording = _recorded(trajectories)
-    if isinstance(recording, Tracks) and asked.needs_one_lane:
-        recording = one_lane(recording, recording.about.source or "tracks")
     with stages() as on:
-        return calibrate_drivers(recording, asked, said["scheduler"], partial(on, "calibrating"))
+        return calibrate_drivers(_tracks(tracks), asked, said["scheduler"], partial(on, "calibrating"))
 
 
-def _recorded(given: Trajectories | Tracks | Simulation) -> Trajectories | Tracks:
+def _tracks(given: Tracks | Simulation) -> Tracks:
     """A recording; of a simulation, what a camera would have measured."""
     if isinstance(given, Simulation):
         return given.measured
-    if not isinstance(given, Trajectories | Tracks):
-        raise InputError(f"recording: {type(given).__name__} is none; give what read, read_tracks or simulate returns")
+    if not isinstance(given, Tracks):
+        raise InputError(f"recording: {type(given).__name__} is none; give what read or simulate returns")
     return given
 
 
@@ -283,7 +242,7 @@ def _check_within(name: str, value: float | None, lower: float, upper: float) ->
 
 
 def compare(
-    trajectories: Trajectories | Tracks | Simulation,
+    tracks: Tracks | Simulation,
     effects: Sequence[str] = (),
     model: str | Path | None = None,
     *,
@@ -293,8 +252,9 @@ def compare(
 
     Parameters
     ----------
-    trajectories : Trajectories, Tracks or Simulation
-        The recording, at least 8 s long; or tracks on which somebody follows a known vehicle for 15 s.
+    tracks : Tracks or Simulation
+        The recording, at least 8 s long, of one road on which everybody is recorded; or of drivers who follow a known
+        vehicle for 15 s.
     effects : sequence of str
         Names of effects that are added to the base model.
     model : str or Path, optional
@@ -324,12 +284,12 @@ def compare(
     given = read_model(Path(model)) if model is not None else None
     with stages() as advance:
         return comparison.compare(
-            _recorded(trajectories), effects, given, seed=seed, workers=os.cpu_count() or 1, on_progress=advance
+            _tracks(tracks), effects, given, seed=seed, workers=os.cpu_count() or 1, on_progress=advance
         )
 
 
 def diagnose(
-    trajectories: Trajectories | Tracks | Simulation,
+    tracks: Tracks | Simulation,
     *,
     add: str | Sequence[str] | None = None,
     law: str = PAPERS,
@@ -340,8 +300,9 @@ def diagnose(
 
     Parameters
     ----------
-    trajectories : Trajectories, Tracks or Simulation
-        The recording, at least 8 s long; or tracks on which somebody follows a known vehicle for 15 s.
+    tracks : Tracks or Simulation
+        The recording, at least 8 s long, of one road on which everybody is recorded; or of drivers who follow a known
+        vehicle for 15 s.
     add : {None, "auto"} or sequence of str
         By default, what the data ask for is added in at most three steps; with ``"auto"``, in as many as they ask for.
         Names, such as ``["drag"]``, are added whatever the data say of them: effects, their forms, groups of constants
@@ -377,7 +338,7 @@ def diagnose(
     law_of(law)
     with stages() as advance:
         return diagnosis.diagnose(
-            _recorded(trajectories),
+            _tracks(tracks),
             add=names,
             most=None if add else FEW_STEPS,
             law=law,

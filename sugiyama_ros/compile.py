@@ -52,8 +52,8 @@ def _work() -> dict[str, Callable[[], object]]:
     return {
         _ONLINE: _follow,
         "the effects and the laws": compile_functions,
-        "the paper's calibration": lambda: each_driver(recording(), Settings("paper")),
-        "the causal calibration": lambda: each_driver(recording(), Settings("causal")),
+        "the paper's calibration": lambda: each_driver(recording().dense(), Settings("paper")),
+        "the causal calibration": lambda: each_driver(recording().dense(), Settings("causal")),
         "the comparison with other laws": lambda: compare(recording(), [_EFFECT]),
         "the diagnosis": lambda: diagnose(recording(), simulations=1, most=1),
     }

@@ -8,7 +8,8 @@ import numpy as np
 from benchmarks.away.drivers import LAW_MEANS, People, drawn, followers
 from benchmarks.away.hidden import FAULTS, FORMS, MECHANISMS, MISSING, SMOOTHED, Builder, Built, delay
 from benchmarks.away.world import Setup, record
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import tracks_of
+from sugiyama_ros.trajectories.tracks import Tracks
 
 #: Strengths of whatever is hidden.
 STRENGTHS = {"strong": 1.0, "weak": 0.5}
@@ -76,8 +77,8 @@ class Pair:
     truth: values that a fit should find, by name.
     """
 
-    first: Trajectories
-    second: Trajectories
+    first: Tracks
+    second: Tracks
     who: tuple[int, ...]
     truth: dict[str, float] = field(default_factory=dict)
 
@@ -142,5 +143,5 @@ def recorded(case: Case, strength: str, seed: int) -> Pair:
         first, second = runs
         if first is not None and second is not None:
             truth = {name: value for one in built for name, value in one.truth.items()}
-            return Pair(first, second, tuple(who.tolist()), truth)
+            return Pair(tracks_of(first), tracks_of(second), tuple(who.tolist()), truth)
     raise ValueError(f"{case.name}: cars always collide")

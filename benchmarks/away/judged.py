@@ -9,8 +9,8 @@ from scipy.stats import kstest
 
 from benchmarks.away.cases import Case, Pair, cases, recorded
 from sugiyama_ros.diagnosis.diagnose import Diagnosis, diagnose
+from sugiyama_ros.fit.preparation import prepare
 from sugiyama_ros.fit.score import Gain, evaluate, gain
-from sugiyama_ros.fit.stretched import prepared
 from sugiyama_ros.page.document import additions
 
 
@@ -145,7 +145,7 @@ def _laws(d: Diagnosis) -> tuple[str, ...]:
 
 def _fresh(d: Diagnosis, pair: Pair) -> Gain:
     """Gain of the additions one step ahead on a fresh recording of the same drivers, without a new fit."""
-    data = prepared(pair.second, d.data.decisions)
+    data = prepare(pair.second, d.data.decisions)
     with ThreadPoolExecutor(1) as work:
         after, before = (evaluate(data, one.fit.model, work) for one in (d.final, d.base))
     return gain(data, after, before)

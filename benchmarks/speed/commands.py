@@ -15,8 +15,8 @@ from sugiyama_ros.calibration.calibrate import each_driver
 from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import SIGMA_A, defaults
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.plain_csv import write_csv
 from sugiyama_ros.formats.registry import read_tracks
+from sugiyama_ros.formats.table import write_csv
 from sugiyama_ros.formats.tracks_parquet import write_tracks
 from sugiyama_ros.simulation.lanes import Lane, simulate_lanes
 from sugiyama_ros.studies.rings import LENGTH_M

@@ -28,6 +28,7 @@ from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
 from sugiyama_ros.studies.lanes import two_lanes
 from sugiyama_ros.studies.rings import CARS, JAM_GAP_M, LENGTH_M, RING_M
 from sugiyama_ros.trajectories.about import About
+from sugiyama_ros.trajectories.dense import tracks_of
 from sugiyama_ros.trajectories.exchange import of_columns
 from sugiyama_ros.trajectories.labels import labels_of
 from sugiyama_ros.trajectories.tracks import Tracks
@@ -169,7 +170,7 @@ def diagnosis() -> tuple[SpeedFigure, ...]:
     one_pass = cpu_of_functions(
         {"pass": lambda: [causal.log_likelihood(chain, defaults()) for chain in chains]}, rounds=10
     )["pass"]
-    passes, cpu_s = counted(lambda: diagnose(t, workers=os.cpu_count() or 1))
+    passes, cpu_s = counted(lambda: diagnose(tracks_of(t), workers=os.cpu_count() or 1))
     return (
         SpeedFigure("diagnosis_s", f"diagnosis of {len(chains)} drivers", cpu_s, "s of CPU time", _DIAGNOSIS_S),
         SpeedFigure("diagnosis_passes", "passes of the filter over one driver in this diagnosis", passes, "passes"),
@@ -253,7 +254,7 @@ def many() -> tuple[SpeedFigure, ...]:
     end = np.cumsum(length + gap)
     road, rng = Road(float(end[-1])), np.random.default_rng(1)
     simulator = Simulator(defaults(_DRIVERS), length, end - length - gap, road, rng)
-    measured = simulate(simulator, _MANY_S, stop_at_collision=False).measured
+    measured = simulate(simulator, _MANY_S, stop_at_collision=False).dense
     before = os.times()
     with workers(_DRIVERS) as work:
         each_driver(measured, Settings(), work=work)

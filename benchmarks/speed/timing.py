@@ -36,7 +36,7 @@ def jam(cars: int = CARS, duration_s: float = _DURATION_S) -> Trajectories:
     """
     ring_m = RING_M * cars / CARS
     ring = Ring(defaults(cars), _SEED, jammed=True, duration_s=duration_s, ring_m=ring_m)
-    return run(ring).measured
+    return run(ring).dense
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,6 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.cdr import ros2_name, why_unreadable
 from sugiyama_ros.formats.mcap_reader import BagMessage, BagSource
 from sugiyama_ros.formats.reading import checksum_of, shown_name
-from sugiyama_ros.formats.samples import MAX_SAMPLES
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.assemble import LONGEST_ABSENCE_S, assemble
@@ -48,6 +47,7 @@ from sugiyama_ros.trajectories.leaders import MOST_UNSEEN, TICK_S, find_leaders
 from sugiyama_ros.trajectories.placing import Placer, SeenVehicle
 from sugiyama_ros.trajectories.time_base import LONGEST_HOLE_S, nearly
 from sugiyama_ros.trajectories.tracks import FREE, NOBODY, UNKNOWN, Tracks, starts
+from sugiyama_ros.trajectories.trajectories import MAX_SAMPLES
 
 # Two resets of vehicles that are logged within this time [ns] are one.
 _ONE_RESET_NS = 5 * NS

@@ -1,63 +1,88 @@
-"""The kinds of calibration: each driver alone, all drivers as one population, classes of drivers, drivers on tracks."""
+"""The kinds of calibration: each driver alone, all drivers as one population, classes of drivers."""
 
 from concurrent.futures import Executor
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sugiyama_ros.calibration.result import CalibratedDriver, Calibration, Settings, of_fits
+from sugiyama_ros.calibration.result import CalibratedDriver, Calibration, Settings, of_classes, of_fits
 from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.effects.registry import ROW
-from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.classes import find_classes
 from sugiyama_ros.fit.driver import Fit, JobMaker, SearchOptions, each_of
 from sugiyama_ros.fit.smooth_positions import evenness
 from sugiyama_ros.fit.standard_errors import is_determined, quadratic
 from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.progress import OnProgress
+from sugiyama_ros.trajectories.about import About
+from sugiyama_ros.trajectories.dense import numbers_of, whole_road
 from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
 from sugiyama_ros.workers import workers
 
+if TYPE_CHECKING:
+    from sugiyama_ros.fit.recording import Recorded
+    from sugiyama_ros.fit.score import PointwiseDensity
+
+# What is known of a recording that only its positions are given of.
+_ORIGIN = About()
+
 
 def calibrate_drivers(
-    recording: Trajectories | Tracks, settings: Settings, scheduler: str | None, on_progress: OnProgress
+    tracks: Tracks,
+    settings: Settings,
+    scheduler: str | None = None,
+    on_progress: OnProgress = lambda done, total: None,
 ) -> Calibration:
     """Calibrate the drivers of a recording in the way that the settings ask for. Raises InputError.
 
     scheduler: address of a Dask scheduler whose workers do the work.
     """
-    if isinstance(recording, Tracks):
-        # Imported here: drivers on one lane do not need what follows tracks, which loads slowly.
-        from sugiyama_ros.calibration.on_tracks import calibrate_tracks
-
-        names, profiled = settings.estimated, settings.profiled
-        with workers(recording.runs, scheduler) as work:
-            return calibrate_tracks(recording, names, profiled=profiled, work=work, on_progress=on_progress)
-    estimated = settings.estimated or evenness(recording).estimated(settings.formulation)
-    settings = replace(settings, estimated=estimated)
-    with workers(len(recording.vehicle), scheduler) as work:
+    road = whole_road(tracks)
+    if road is None and settings.formulation == "paper":
+        road = tracks.dense()
+    with workers(tracks.runs, scheduler) as work:
         if settings.is_pooled:
-            return pooled(recording, settings, work)
+            return _named(_pooled(tracks, road, settings, work), tracks)
+        if road is None:
+            # Imported here: drivers on one road do not need what follows tracks, which loads slowly.
+            from sugiyama_ros.calibration.on_tracks import calibrate_tracks
+
+            return calibrate_tracks(tracks, settings, work, on_progress)
+        estimated = settings.estimated or evenness(road).estimated(settings.formulation)
+        settings = replace(settings, estimated=estimated)
         if settings.classes:
-            return in_classes(recording, settings, work)
-        return each_driver(recording, settings, work=work, on_progress=on_progress)
+            return _named(_in_classes(road, settings, tracks.about, work), tracks)
+        return _named(each_driver(road, settings, tracks.about, work=work, on_progress=on_progress), tracks)
+
+
+def _named(found: Calibration, tracks: Tracks) -> Calibration:
+    """Return a calibration whose drivers have the names of the vehicles, where these are no numbers."""
+    names = [tracks.vehicle.at(int(row)) for row in tracks.start[:-1]]
+    of_number = {number: name for number, name in zip(numbers_of(tracks).tolist(), names, strict=True)}
+    drivers = (
+        d if of_number.get(d.number, "").isdecimal() else replace(d, vehicle=of_number.get(d.number, d.vehicle))
+        for d in found.drivers
+    )
+    return replace(found, drivers=tuple(drivers))
 
 
 def each_driver(
-    trajectories: Trajectories,
+    road: Trajectories,
     settings: Settings,
+    about: About = _ORIGIN,
     *,
     work: Executor | None = None,
     on_progress: OnProgress = lambda done, total: None,
 ) -> Calibration:
-    """Calibrate the drivers one by one.
+    """Calibrate the drivers of a whole road one by one.
 
     The causal formulation makes two passes. The second pass gives the drivers ahead the parameters that the first pass
-    found. Raises InputError.
+    found.
     """
-    passes, drivers = 1 if settings.formulation == "paper" else 2, len(trajectories.vehicle)
-    maker = JobMaker(trajectories, settings.formulation, settings.estimated)
+    passes, drivers = 1 if settings.formulation == "paper" else 2, len(road.vehicle)
+    maker = JobMaker(road, settings.formulation, settings.estimated)
     fits: list[Fit] = []
     for number in range(passes):
         is_last = number == passes - 1
@@ -66,59 +91,43 @@ def each_driver(
         for fit in each_of(maker, options, work=work):
             fits.append(fit)
             on_progress(number * drivers + len(fits), passes * drivers)
-    return of_fits(settings, _drivers(trajectories), fits, trajectories)
+    return of_fits(settings, _drivers(road), fits, about, road)
 
 
-def in_classes(trajectories: Trajectories, settings: Settings, work: Executor) -> Calibration:
-    """Calibrate classes of drivers. The drivers of a class share all parameters. Raises InputError."""
-    drivers, count, estimated = len(trajectories.vehicle), settings.classes, settings.estimated
-    if drivers < count:
-        raise InputError(f"{trajectories.source}: {drivers} drivers, {count} classes; give --classes {drivers} at most")
-    places, options = [index(name) for name in estimated], SearchOptions(with_errors=False)
-    job_of = JobMaker(trajectories, settings.formulation, estimated)
-    jobs = [replace(job_of(i), options=options) for i in range(drivers)]
-    samples = int(np.isfinite(trajectories.position_m).sum())
-    classes = find_classes(jobs, count, samples, settings.seed, work)
-    likeliest = classes.probability.argmax(axis=1)
-    rows, std = classes.rows[likeliest], classes.std[likeliest]
-    return Calibration(
-        settings=settings,
-        drivers=_drivers(trajectories),
-        rows=ROW.with_effects(rows),
-        std=tuple(dict(zip(estimated, one, strict=True)) for one in std[:, places].tolist()),
-        identified=tuple(dict(zip(estimated, one, strict=True)) for one in np.isfinite(std[:, places]).tolist()),
-        interval=quadratic(rows, std),
-        log_likelihood=classes.log_likelihood,
-        trajectories=trajectories,
-        classes=classes,
-    )
+def _in_classes(road: Trajectories, settings: Settings, about: About, work: Executor) -> Calibration:
+    """Calibrate classes of drivers on a whole road. The drivers of a class share all parameters."""
+    drivers = len(road.vehicle)
+    settings.check_classes(drivers, about.source)
+    job_of = JobMaker(road, settings.formulation, settings.estimated)
+    jobs = [replace(job_of(i), options=SearchOptions(with_errors=False)) for i in range(drivers)]
+    samples = int(np.isfinite(road.position_m).sum())
+    classes = find_classes(jobs, settings.classes, samples, settings.seed, work)
+    return of_classes(settings, _drivers(road), classes, about, road)
 
 
-def pooled(trajectories: Trajectories, settings: Settings, work: Executor) -> Calibration:
+def _pooled(tracks: Tracks, road: Trajectories | None, settings: Settings, work: Executor) -> Calibration:
     """Calibrate all drivers together, as draws from one population (partial pooling), with the causal formulation.
 
-    The distribution of the parameters over the population is estimated from the same drivers (empirical Bayes). Raises
-    InputError.
+    The distribution of the parameters over the population is estimated from the same drivers (empirical Bayes).
     """
     # Imported here: drivers who are calibrated alone need no search for effects, which takes long to load.
     from sugiyama_ros.diagnosis.refine import with_named
     from sugiyama_ros.fit.joint import fit_base
     from sugiyama_ros.fit.law import in_filter
-    from sugiyama_ros.fit.recording import prepare
+    from sugiyama_ros.fit.preparation import prepare
     from sugiyama_ros.fit.sandwich import own_stds, shared_stds
     from sugiyama_ros.fit.smooth_positions import with_short_periods
 
-    trajectories = with_short_periods(trajectories)
-    data = prepare(trajectories)
+    data, estimated = prepare(tracks, most=None), settings.estimated
     if settings.law == PAPERS:
-        base = fit_base(data, [index(name) for name in settings.estimated], work)
+        estimated = estimated or (data.even if road is None else evenness(road)).estimated()
+        base = fit_base(data, [index(name) for name in estimated], work)
     else:
         base = in_filter(data, settings.law, work)
     fitted = with_named(data, base, settings.effects, work)
     own, shared = own_stds(fitted), shared_stds(data, fitted, work)
     names = tuple(ROW.entries[k] for k in fitted.model.individual)
-    if settings.law != PAPERS:
-        settings = replace(settings, estimated=names)
+    settings = replace(settings, estimated=names if settings.law != PAPERS else estimated)
     prior = np.array(fitted.model.prior_std)
     # a parameter is identified if the driver's own samples halve the prior's standard deviation at least, and if what
     # is left, beside all other parameters and drivers, is less than half of the value
@@ -129,16 +138,38 @@ def pooled(trajectories: Trajectories, settings: Settings, work: Executor) -> Ca
     known &= is_determined(stds[:, places], fitted.model.rows[:, places])
     return Calibration(
         settings=settings,
-        drivers=_drivers(trajectories),
+        drivers=_drivers(road) if road is not None else _followers(data, fitted.samples),
         rows=fitted.model.rows,
         std=tuple(own),
         identified=tuple(dict(zip(names, one.tolist(), strict=True)) for one in known),
         interval=quadratic(fitted.model.rows, stds),
         log_likelihood=np.nansum(fitted.samples.log_likelihood, axis=1),
-        trajectories=trajectories,
+        about=tracks.about,
+        road=None if road is None else with_short_periods(road),
         shared_std=shared,
     )
 
 
-def _drivers(trajectories: Trajectories) -> tuple[CalibratedDriver, ...]:
-    return tuple(map(CalibratedDriver, trajectories.vehicle.tolist()))
+def _drivers(road: Trajectories) -> tuple[CalibratedDriver, ...]:
+    return tuple(CalibratedDriver(number, number) for number in road.vehicle.tolist())
+
+
+def _followers(data: "Recorded", samples: "PointwiseDensity") -> tuple[CalibratedDriver, ...]:
+    """Drivers on tracks, with the samples that the fitted model predicts."""
+    drivers = []
+    for i, name in enumerate(data.vicinity.names):
+        counts = np.isfinite(samples.log_likelihood[i])
+        squares = samples.innovation_m[i, counts] ** 2 / samples.innovation_var[i, counts]
+        led = data.chains[i].identity[:, :2] >= 0
+        drivers.append(
+            CalibratedDriver(
+                vehicle=name.vehicle,
+                number=name.number,
+                recording=name.recording,
+                vehicle_class=name.vehicle_class,
+                stretches=len(np.unique(data.chains[i].identity[led[:, 0], 0])),
+                following_s=float((data.scored[i] & led.all(axis=1)).sum()) * data.vicinity.period_s,
+                nis=float(squares.mean()) if len(squares) else float("nan"),
+            )
+        )
+    return tuple(drivers)

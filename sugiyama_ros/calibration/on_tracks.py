@@ -8,13 +8,14 @@ drivers; in the second, they have the parameters that the first pass found, or t
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
 
-from sugiyama_ros.arrays import Array
+from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.calibration.result import (
     BriefDriver,
     CalibratedDriver,
@@ -22,10 +23,12 @@ from sugiyama_ros.calibration.result import (
     ClassMedians,
     Settings,
     medians_of,
+    of_classes,
     of_fits,
 )
 from sugiyama_ros.driver.parameters import SIGMA_A, index
 from sugiyama_ros.filters.extract import Drive
+from sugiyama_ros.fit.classes import find_classes
 from sugiyama_ros.fit.driver import (
     START_SIGMA_A,
     DriverChains,
@@ -36,41 +39,66 @@ from sugiyama_ros.fit.driver import (
     most_seen,
     predicted,
 )
+from sugiyama_ros.fit.preparation import evenness_on, fastest_on, followers, following_s, run_of
 from sugiyama_ros.fit.scoring import lower_bounds, upper_bounds
-from sugiyama_ros.fit.stretched import evenness_on, fastest_on, followers, following_s
 from sugiyama_ros.progress import OnProgress
+from sugiyama_ros.trajectories.dense import numbers_of
 from sugiyama_ros.trajectories.time_base import on_time_base
 from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.workers import ordered_map
 
+# The parameters are those that suit the recording.
+_USUAL = Settings(estimated=())
+
 
 def calibrate_tracks(
     tracks: Tracks,
-    estimated: Sequence[str] = (),
-    *,
-    profiled: bool = False,
+    settings: Settings = _USUAL,
     work: Executor | None = None,
     on_progress: OnProgress = lambda done, total: None,
 ) -> Calibration:
     """Calibrate every driver who follows a known vehicle for long enough, with the causal formulation.
 
-    estimated: by default the names that ``Evenness.estimated`` returns. Raises InputError.
+    Parameters are by default those that ``Evenness.estimated`` returns. Raises InputError.
     """
     tracks = on_time_base(tracks)
     found = followers(tracks)
     even, speed = evenness_on(found.every, found.decisions), fastest_on(found.every, found.decisions)
-    names = tuple(estimated) or even.estimated()
-    places = np.array([index(name) for name in names])
-    options = SearchOptions(profiled=profiled)
+    settings = replace(settings, estimated=settings.estimated or even.estimated())
+    places = np.array([index(name) for name in settings.estimated])
+    options = SearchOptions(profiled=settings.profiled)
     search = Job(0, even.typical(speed), places, lower_bounds(even), upper_bounds(speed), options)
-    fits, nis = _passes(tracks, found.enough, search, names, work, on_progress)
-    drivers = [
-        replace(_who(own, one), leader_class=_leader_class(tracks, own), stretches=len(own))
-        for own, one in zip(found.enough, nis, strict=True)
-    ]
-    ahead = DriversAhead(tracks, search.start).of(found.enough, fits, names)
-    brief = tuple(_brief_driver(own, ahead) for own in found.few if following_s(own) > 0.0)
-    return of_fits(Settings(estimated=names, profiled=profiled), drivers, fits, brief=brief)
+    if settings.classes:
+        return _in_classes(tracks, settings, found.enough, search, work)
+    fits, nis = _passes(tracks, found.enough, search, settings.estimated, work, on_progress)
+    numbers = numbers_of(tracks)
+    drivers = [_who(tracks, numbers, own, one) for own, one in zip(found.enough, nis, strict=True)]
+    ahead = DriversAhead(tracks, search.start).of(found.enough, fits, settings.estimated)
+    brief = tuple(_brief_driver(tracks, numbers, own, ahead) for own in found.few if following_s(own) > 0.0)
+    return of_fits(settings, drivers, fits, tracks.about, brief=brief)
+
+
+def _in_classes(
+    tracks: Tracks, settings: Settings, drivers: Sequence[Sequence[Drive]], search: Job, work: Executor | None
+) -> Calibration:
+    """Calibrate classes of drivers, behind drivers who count as typical."""
+    settings.check_classes(len(drivers), tracks.about.source)
+    ahead, numbers = DriversAhead(tracks, search.start), numbers_of(tracks)
+    jobs = [_job(_quick(search), k, own, ahead) for k, own in enumerate(drivers)]
+    samples = sum(int((d.scored & np.isfinite(d.chain.position_m[:, 0])).sum()) for own in drivers for d in own)
+    with ThreadPoolExecutor(1) if work is None else nullcontext(work) as some:
+        classes = find_classes(jobs, settings.classes, samples, settings.seed, some)
+    likeliest = classes.rows[classes.probability.argmax(axis=1)]
+    nis = [_summary(_chains(own, ahead), row)[0] for own, row in zip(drivers, likeliest, strict=True)]
+    who = [_who(tracks, numbers, own, one) for own, one in zip(drivers, nis, strict=True)]
+    return of_classes(settings, who, classes, tracks.about)
+
+
+def _quick(search: Job) -> Job:
+    """The search without errors, from a larger acceleration noise."""
+    start = search.start.copy()
+    start[SIGMA_A] = START_SIGMA_A
+    return replace(search, start=start, options=SearchOptions(with_errors=False))
 
 
 class DriversAhead:
@@ -132,10 +160,7 @@ def _passes(
 
     Returns the fits, and the mean of the squared normalised innovations of each driver.
     """
-    total = 2 * len(drivers)
-    start = search.start.copy()
-    start[SIGMA_A] = START_SIGMA_A
-    quick = replace(search, start=start, options=SearchOptions(with_errors=False))
+    total, quick = 2 * len(drivers), _quick(search)
     ahead, first = DriversAhead(tracks, search.start), []
     for fit in ordered_map(carry_out, (_job(quick, k, own, ahead) for k, own in enumerate(drivers)), work):
         first.append(fit)
@@ -172,16 +197,25 @@ def _summary(followed: DriverChains, row: Array) -> tuple[float, float]:
     return float(squares.mean()) if len(squares) else float("nan"), float(density[counts].sum())
 
 
-def _brief_driver(own: Sequence[Drive], ahead: DriversAhead) -> BriefDriver:
+def _brief_driver(tracks: Tracks, numbers: Ints, own: Sequence[Drive], ahead: DriversAhead) -> BriefDriver:
     """Give a driver who follows too briefly the parameters of the class."""
     row = ahead.of_class(own[0].stretch.vehicle_class)
     nis, log_likelihood = _summary(_chains(own, ahead), row)
-    return BriefDriver(_who(own, nis), row, log_likelihood)
+    return BriefDriver(_who(tracks, numbers, own, nis), row, log_likelihood)
 
 
-def _who(own: Sequence[Drive], nis: float) -> CalibratedDriver:
+def _who(tracks: Tracks, numbers: Ints, own: Sequence[Drive], nis: float) -> CalibratedDriver:
     who = own[0].stretch
-    return CalibratedDriver(who.vehicle, who.recording, who.vehicle_class, following_s=following_s(own), nis=nis)
+    return CalibratedDriver(
+        vehicle=who.vehicle,
+        number=int(numbers[run_of(own)]),
+        recording=who.recording,
+        vehicle_class=who.vehicle_class,
+        leader_class=_leader_class(tracks, own),
+        stretches=len(own),
+        following_s=following_s(own),
+        nis=nis,
+    )
 
 
 def _leader_class(tracks: Tracks, own: Sequence[Drive]) -> str:

@@ -17,8 +17,10 @@ from sugiyama_ros.files import Target
 from sugiyama_ros.fit.classes import Classes, DriverTypes
 from sugiyama_ros.fit.driver import Fit, Formulation
 from sugiyama_ros.fit.smooth_positions import ESTIMATED
+from sugiyama_ros.fit.standard_errors import quadratic
 from sugiyama_ros.laws.registry import PAPERS, law
 from sugiyama_ros.results import BLUE, Result, TextTable, plain
+from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 if TYPE_CHECKING:
@@ -50,10 +52,10 @@ class Settings:
         """Whether all drivers are calibrated together, as one population."""
         return bool(self.effects) or self.law != PAPERS or (self.is_regularised and self.formulation == "causal")
 
-    @property
-    def needs_one_lane(self) -> bool:
-        """Whether the calibration works only on a single lane on which everybody is present."""
-        return self.formulation == "paper" or self.is_pooled or bool(self.classes)
+    def check_classes(self, drivers: int, source: str) -> None:
+        """Raise InputError for more classes than drivers."""
+        if drivers < self.classes:
+            raise InputError(f"{source}: {drivers} drivers, {self.classes} classes; give --classes {drivers} at most")
 
     def check(self, option: Callable[[str], str] = str) -> None:
         """Raise InputError for settings that contradict each other; ``option`` writes the name of one for the user."""
@@ -85,12 +87,13 @@ class Settings:
 class CalibratedDriver:
     """Who drives, and what tracks say of the driver; texts are empty, and numbers NaN or 0, where they do not.
 
-    vehicle: number of the vehicle, or its name on tracks; leader_class: class of the vehicle ahead most of the time;
-    stretches, following_s: stretches and time [s] that count; nis: mean of the squared normalised innovations, which is
-    1 for a filter that knows its own errors.
+    vehicle: number of the vehicle, or its name on tracks; number: number of the vehicle in model files; leader_class:
+    class of the vehicle ahead most of the time; stretches, following_s: stretches and time [s] that count; nis: mean of
+    the squared normalised innovations, which is 1 for a filter that knows its own errors.
     """
 
     vehicle: int | str
+    number: int
     recording: str = ""
     vehicle_class: str = ""
     leader_class: str = ""
@@ -149,8 +152,10 @@ class Calibration(Result):
         Ends of the 95 % intervals of the first P entries of a row, which are the paper's parameters, or of all.
     log_likelihood : ndarray, shape (N,)
         Log-likelihood of each driver [nats], without the 2 pi term.
-    trajectories : Trajectories, optional
-        The recording, if it is one lane on which everybody is present; none for tracks.
+    about : About
+        Where the recording comes from.
+    road : Trajectories, optional
+        The recording, if it is one lane on which everybody is present.
     shared_std : mapping of str to float
         Standard deviations of the parameters that all drivers share, by name.
     classes : Classes, optional
@@ -166,7 +171,8 @@ class Calibration(Result):
     identified: tuple[dict[str, bool], ...]
     interval: Array
     log_likelihood: Array
-    trajectories: Trajectories | None = None
+    about: About
+    road: Trajectories | None = None
     shared_std: Mapping[str, float] | None = None
     classes: Classes | None = None
     brief: tuple[BriefDriver, ...] = ()
@@ -182,16 +188,14 @@ class Calibration(Result):
         return medians_of([(d.vehicle_class, d.leader_class) for d in self.drivers], self.rows, self.identified)
 
     def write(self, target: Target) -> None:
-        """Write a model file. Raises InputError for drivers on tracks, and OutputError."""
+        """Write a model file. Raises OutputError."""
         # Imported here: a calibration that is only printed starts sooner without the code of joint fits.
-        from sugiyama_ros.fit.model_file import write_drivers
+        from sugiyama_ros.fit.model_file import FittedDrivers, write_drivers
 
-        if self.trajectories is None:
-            raise InputError("a model file needs one lane on which everybody is present; these are tracks")
-        total, types = float(self.log_likelihood.sum()), None
-        if self.classes is not None:
-            types = DriverTypes(self.classes.share, self.classes.rows)
-        write_drivers(target, self.trajectories, self.rows, self.std, self.shared_std or {}, total, types)
+        origin = [d.number for d in self.drivers], self.about.source, self.about.sha256
+        found = FittedDrivers(*origin, self.rows, self.std, self.shared_std or {}, float(self.log_likelihood.sum()))
+        types = None if self.classes is None else DriverTypes(self.classes.share, self.classes.rows)
+        write_drivers(target, found, types)
 
     def headline(self) -> str:
         """Say how many drivers were calibrated, and for how many of them each parameter is identified."""
@@ -200,7 +204,7 @@ class Calibration(Result):
         said = f"{len(self.rows)} drivers, {total}; identified: {held}"
         if not self.brief:
             return said
-        from sugiyama_ros.fit.stretched import LEAST_FOLLOWING_S  # here: only tracks need it, and it loads slowly
+        from sugiyama_ros.fit.preparation import LEAST_FOLLOWING_S  # here: only tracks need it, and it loads slowly
 
         few = f"follow for less than {LEAST_FOLLOWING_S:g} s, with the parameters of their class"
         return f"{said}; {len(self.brief)} {few}"
@@ -228,16 +232,16 @@ class Calibration(Result):
         A parameter that is not identified is an open circle.
         """
         names, rows = self.settings.estimated, self._drivers()
-        place = range(len(rows)) if self.trajectories is not None else [d.following_s for d in self.drivers]
+        place = range(len(rows)) if self.road is not None else [d.following_s for d in self.drivers]
         for axes, name in zip(figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0], names, strict=True):
             for at, d in zip(place, rows, strict=True):
                 held = d["identified"][name]
                 spread = d["std"][name] if held else None
                 axes.errorbar(at, d[name], yerr=spread, fmt="o", color=BLUE, mfc=BLUE if held else "none", ms=4)
             axes.set(ylabel=ROW.heading(name))
-        if self.trajectories is not None:
+        if self.road is not None:
             axes.set_xticks(place, [d.shown for d in self.drivers])
-        axes.set(xlabel="vehicle" if self.trajectories is not None else "following [s]")
+        axes.set(xlabel="vehicle" if self.road is not None else "following [s]")
 
     def save(self, path: str | Path) -> None:
         """Write the calibration to a file.
@@ -250,7 +254,7 @@ class Calibration(Result):
         Raises
         ------
         InputError
-            For any other suffix, and for a model file of drivers on tracks.
+            For any other suffix.
         OutputError
             If the file cannot be written.
         """
@@ -277,11 +281,11 @@ class Calibration(Result):
             document |= {"classes": _classes_of(self.classes, self.settings.estimated), "bic": self.classes.bic}
             for driver, probability in zip(drivers, self.classes.probability.tolist(), strict=True):
                 driver["class_probability"] = probability
-        if self.trajectories is None:
+        if self.road is None:
             document |= {
                 "left_out": len(self.brief),
                 "brief_drivers": [self._brief(one) for one in self.brief],
-                "classes": {one.vehicle_class: one.medians for one in self.vehicle_classes},
+                "vehicle_classes": {one.vehicle_class: one.medians for one in self.vehicle_classes},
                 "class_pairs": [
                     {"class": p.vehicle_class, "leader_class": p.leader_class, "drivers": p.drivers, **p.medians}
                     for p in self.pairs
@@ -294,7 +298,7 @@ class Calibration(Result):
 
         A parameter that is not identified has no value, and is not in the mean.
         """
-        names, on_tracks, rows = self.settings.estimated, self.trajectories is None, []
+        names, on_tracks, rows = self.settings.estimated, self.road is None, []
         held: dict[str, list[float]] = {n: [] for n in names}
         for d, values in zip(self.drivers, self._drivers(), strict=True):
             cells = [self._cell(values, n) for n in names]
@@ -347,7 +351,7 @@ class Calibration(Result):
                 **self._who(driver),
                 **{name: float(row[k]) for name, k in places.items()},
                 "log_likelihood": float(value),
-                **({"nis": driver.nis} if self.trajectories is None else {}),
+                **({"nis": driver.nis} if self.road is None else {}),
                 "std": std,
                 "interval": {name: interval[k].tolist() for name, k in places.items()},
                 "identified": identified,
@@ -356,7 +360,7 @@ class Calibration(Result):
         ]
 
     def _who(self, d: CalibratedDriver) -> dict[str, Any]:
-        if self.trajectories is not None:
+        if self.road is not None:
             return {"vehicle": d.vehicle}
         who = {"recording": d.recording, "vehicle": d.vehicle, "class": d.vehicle_class}
         return {**who, "stretches": d.stretches, "following_s": d.following_s}
@@ -388,7 +392,8 @@ def of_fits(
     settings: Settings,
     drivers: Sequence[CalibratedDriver],
     fits: Sequence[Fit],
-    trajectories: Trajectories | None = None,
+    about: About,
+    road: Trajectories | None = None,
     brief: tuple[BriefDriver, ...] = (),
 ) -> Calibration:
     """Return the calibration that fits of single drivers make."""
@@ -401,8 +406,33 @@ def of_fits(
         identified=tuple({name: fit.identified(name) for name in names} for fit in fits),
         interval=np.array([fit.interval for fit in fits]),
         log_likelihood=np.array([fit.log_likelihood for fit in fits]),
-        trajectories=trajectories,
+        about=about,
+        road=road,
         brief=brief,
+    )
+
+
+def of_classes(
+    settings: Settings,
+    drivers: Sequence[CalibratedDriver],
+    classes: Classes,
+    about: About,
+    road: Trajectories | None = None,
+) -> Calibration:
+    """Return the calibration in which each driver has the parameters of the likeliest class."""
+    names, likeliest = settings.estimated, classes.probability.argmax(axis=1)
+    places, rows, std = [index(name) for name in names], classes.rows[likeliest], classes.std[likeliest]
+    return Calibration(
+        settings=settings,
+        drivers=tuple(drivers),
+        rows=ROW.with_effects(rows),
+        std=tuple(dict(zip(names, one, strict=True)) for one in std[:, places].tolist()),
+        identified=tuple(dict(zip(names, one, strict=True)) for one in np.isfinite(std[:, places]).tolist()),
+        interval=quadratic(rows, std),
+        log_likelihood=classes.log_likelihood,
+        about=about,
+        road=road,
+        classes=classes,
     )
 
 
@@ -415,7 +445,7 @@ def medians_of(
         own = [k for k, of in enumerate(groups) if of == group]
         medians: dict[str, float | None] = {}
         for name in identified[0]:
-            known = [float(rows[k, index(name)]) for k in own if identified[k][name]]
+            known = [float(rows[k, ROW.entries.index(name)]) for k in own if identified[k][name]]
             medians[name] = float(np.median(known)) if known else None
         found.append(ClassMedians(group[0], group[1], len(own), medians))
     return tuple(found)

@@ -21,7 +21,7 @@ def mean_nis(calibration: Calibration) -> Array:
 
     It is 1 for a filter that knows its own errors, and NaN for a driver without a scored sample.
     """
-    t, found = calibration.trajectories, []
+    t, found = calibration.road, []
     if t is None:
         return np.array([driver.nis for driver in calibration.drivers])
     jobs = [ChainJob(chain_behind(t, i), row) for i, row in enumerate(calibration.rows)]
@@ -40,7 +40,7 @@ def mean_nis(calibration: Calibration) -> Array:
 
 def cautions(calibration: Calibration) -> list[str]:
     """Say in one line each what makes the figures of a calibration doubtful. Raises InputError as ``mean_nis``."""
-    t = calibration.trajectories
+    t = calibration.road
     if t is None or calibration.settings.formulation == "paper":
         return []
     nis, vehicles = mean_nis(calibration), t.vehicle

@@ -20,14 +20,11 @@ from sugiyama_ros.cli.options import (
     takes,
 )
 from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, print_warnings
-from sugiyama_ros.errors import InputError
 from sugiyama_ros.laws import PAPERS
 from sugiyama_ros.progress import stage
 
 if TYPE_CHECKING:
     from sugiyama_ros.calibration.result import Calibration, Settings
-    from sugiyama_ros.trajectories.tracks import Tracks
-    from sugiyama_ros.trajectories.trajectories import Trajectories
 
 
 @dataclass(frozen=True)
@@ -103,13 +100,15 @@ def calibrate(options: _CalibrateOptions) -> None:
     """
     output = model_to_write(options.output, options.overwrite)
     from sugiyama_ros.calibration.calibrate import calibrate_drivers
+    from sugiyama_ros.formats.choices import Choices
+    from sugiyama_ros.formats.registry import read_tracks
 
     settings = options.settings
-    recording = _recording(options, settings.needs_one_lane or output is not None)
-    print_warnings(recording)
+    tracks = read_tracks(options.sources, Choices(ring_m=options.ring))
+    print_warnings(tracks)
     began = time.monotonic()
     with stage("calibrating") as advance:
-        found = calibrate_drivers(recording, settings, options.scheduler, advance)
+        found = calibrate_drivers(tracks, settings, options.scheduler, advance)
     wall_s = time.monotonic() - began
     if output is not None:
         found.write(output)
@@ -120,24 +119,6 @@ def calibrate(options: _CalibrateOptions) -> None:
         _print(found, options.output)
     for line in doubts:
         print_note(f"caution: {line}")
-
-
-def _recording(options: _CalibrateOptions, needs_one_lane: bool) -> "Trajectories | Tracks":
-    """Read one lane on which everybody is present, or tracks. Raises InputError."""
-    from sugiyama_ros.formats.choices import Choices
-    from sugiyama_ros.formats.folder import read_files
-    from sugiyama_ros.formats.registry import format_of, read_tracks, read_trajectories
-
-    source, *others = options.sources
-    if others and needs_one_lane:
-        raise InputError(
-            f"{others[0]}: -o, --effects, --law and other options need one lane that all drivers share; give one file"
-        )
-    if others:
-        return read_files(options.sources, Choices(ring_m=options.ring))
-    if needs_one_lane or not format_of(source).is_of_tracks:
-        return read_trajectories(source, options.ring)
-    return read_tracks(source, Choices(ring_m=options.ring))
 
 
 def _cautions(found: "Calibration") -> list[str]:
@@ -155,7 +136,7 @@ def _print(found: "Calibration", output: Path | None) -> None:
     print_table(found.table())
     for line in found.shared_sentences():
         print_line(line)
-    if found.trajectories is None:
+    if found.road is None:
         print_line(found.headline())
     if output is not None:
         print_line(f"model file: {output}")

@@ -67,7 +67,7 @@ class _ConvertOptions:
 
 @takes(_ConvertOptions)
 def convert(options: _ConvertOptions) -> None:
-    """Convert trajectories to tracks, or one lane to MCAP.
+    """Convert a file to tracks, or one lane to MCAP.
 
     Tracks are a table in Parquet or CSV. An MCAP file has the topics /road and /measured. With --odometry, the tracks
     are those of vehicles that a perception has seen.
@@ -75,14 +75,10 @@ def convert(options: _ConvertOptions) -> None:
     if options.odometry or options.centre_line is not None:
         _convert_seen(options)
         return
-    part = _part(options)
-    if options.output.suffix.lower() == ".mcap" and part == _part(_only_files(options)):
-        _convert_to_bag(options)
-        return
-    from sugiyama_ros.formats.convert import convert_tracks
+    from sugiyama_ros.formats.convert import convert as convert_file
 
-    tracks = convert_tracks(options.source, to_write(options.output, options.overwrite), part)
-    _tell_tracks(tracks, options)
+    output = to_write(options.output, options.overwrite)
+    _tell_tracks(convert_file(options.source, output, _part(options)), options)
 
 
 def _convert_seen(options: _ConvertOptions) -> None:
@@ -117,13 +113,6 @@ def _tell_tracks(tracks: "Tracks", options: _ConvertOptions) -> None:
     _print_tracks(document)
 
 
-def _only_files(options: _ConvertOptions) -> _ConvertOptions:
-    """The same files and ring, with everything else left out."""
-    return _ConvertOptions(
-        options.source, options.output, options.ring, overwrite=options.overwrite, as_json=options.as_json
-    )
-
-
 def _part(options: _ConvertOptions) -> "Part":
     """Which part of the source the options ask for."""
     from sugiyama_ros.formats.choices import Choices, read_choices, reference_of
@@ -145,25 +134,6 @@ def _part(options: _ConvertOptions) -> "Part":
         to_s=options.to_s,
     )
     return Part(options.format, choices, selection, options.period)
-
-
-def _convert_to_bag(options: _ConvertOptions) -> None:
-    from sugiyama_ros.formats.convert import convert as convert_file
-
-    t = convert_file(options.source, to_write(options.output, options.overwrite), options.ring)
-    document = {
-        "output": str(options.output),
-        "vehicles": len(t.vehicle),
-        "steps": len(t.position_m),
-        "period_s": t.period_s,
-        "ring_m": t.road.circumference_m or None,
-        "sha256": t.sha256,
-    }
-    road = f"a ring of {t.road.circumference_m:g} m" if t.road.is_ring else "an open road (a ring? give --ring METRES)"
-    text = (
-        f"{len(t.vehicle)} vehicles, {len(t.position_m)} samples of {t.period_s:.4g} s on {road}, in {options.output}"
-    )
-    tell(document, text, options.as_json)
 
 
 def _print_tracks(document: dict[str, Any]) -> None:

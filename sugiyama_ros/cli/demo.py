@@ -19,7 +19,7 @@ from sugiyama_ros.results import TextTable, plain
 if TYPE_CHECKING:
     from sugiyama_ros.diagnosis.diagnose import Diagnosis
     from sugiyama_ros.nodes.run import RunResult
-    from sugiyama_ros.trajectories.trajectories import Trajectories
+    from sugiyama_ros.trajectories.tracks import Tracks
 
 _OWN = "sugiyama-demo.mcap"
 
@@ -55,17 +55,18 @@ def demo(
     recording = own_output(output, _OWN, overwrite)
     page = to_write(recording.path.with_suffix(".html"), recording.overwrite)
     from sugiyama_ros.api import FEW_STEPS
-    from sugiyama_ros.formats.registry import read_trajectories
+    from sugiyama_ros.formats.choices import Choices
+    from sugiyama_ros.formats.registry import read_tracks
     from sugiyama_ros.page.recording import read_recording
     from sugiyama_ros.page.report import write_report
 
     truth: dict[str, Any] = {}
     if data is not None:
-        trajectories = read_trajectories(data, ring)
+        tracks = read_tracks(data, Choices(ring_m=ring))
     else:
-        trajectories, truth = _simulated(hidden, seed)
+        tracks, truth = _simulated(hidden, seed)
         print_note("22 simulated drivers on a ring of 230 m, for 250 s. They have an effect that the model lacks.")
-    before, found, after = _before_and_after(trajectories, recording, seed, FEW_STEPS if data is not None else 1)
+    before, found, after = _before_and_after(tracks, recording, seed, FEW_STEPS if data is not None else 1)
     told = _document(found, truth)
     write_report(read_recording(recording.path), told, page)
     if show:
@@ -95,7 +96,7 @@ def _document(found: "Diagnosis", truth: dict[str, Any]) -> dict[str, Any]:
     return told
 
 
-def _simulated(hidden: str, seed: int) -> tuple["Trajectories", dict[str, Any]]:
+def _simulated(hidden: str, seed: int) -> tuple["Tracks", dict[str, Any]]:
     """A simulated experiment with a hidden effect, and the truth for the document."""
     from sugiyama_ros.studies.effects import DEMONSTRATED, STRENGTHS, hide
 
@@ -130,7 +131,7 @@ def _print(told: dict[str, Any], rmse: list[float], recording: Output, page: Out
 
 
 def _before_and_after(
-    trajectories: "Trajectories", output: Output, seed: int, most: int
+    tracks: "Tracks", output: Output, seed: int, most: int
 ) -> tuple["RunResult", "Diagnosis", "RunResult"]:
     """Replay with the base model, find what is missing, and replay with it."""
     from sugiyama_ros.diagnosis.diagnose import diagnose as find
@@ -139,10 +140,10 @@ def _before_and_after(
 
     with tempfile.TemporaryDirectory() as directory:
         source, model = Path(directory) / "measured.mcap", Path(directory) / "model.yaml"
-        write_trajectories(trajectories, source)
+        write_trajectories(tracks.dense(), source)
         before = _to_the_end(RunOptions(Path(directory) / "before.mcap", source))
         with stages() as advance:
-            found = find(trajectories, most=most, seed=seed, workers=os.cpu_count() or 1, on_progress=advance)
+            found = find(tracks, most=most, seed=seed, workers=os.cpu_count() or 1, on_progress=advance)
         write_model(model, found.data, found.final.fit)
         return before, found, _to_the_end(RunOptions(output.path, source, output.overwrite, model=model))
 

@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from sugiyama_ros.diagnosis.diagnose import Diagnosis
     from sugiyama_ros.fit import model_file
     from sugiyama_ros.trajectories.tracks import Tracks
-    from sugiyama_ros.trajectories.trajectories import Trajectories
 
 
 @dataclass(frozen=True)
@@ -82,14 +81,15 @@ def diagnose(options: _DiagnoseOptions) -> None:
     from sugiyama_ros.api import FEW_STEPS
     from sugiyama_ros.files import writing
     from sugiyama_ros.fit.model_file import write_model
-    from sugiyama_ros.formats.registry import read_recordings
+    from sugiyama_ros.formats.choices import Choices
+    from sugiyama_ros.formats.registry import read_tracks
     from sugiyama_ros.laws.registry import law
     from sugiyama_ros.page.document import document
     from sugiyama_ros.page.words import cautions, sentences
     from sugiyama_ros.workers import helpers
 
     law(options.law)
-    recording = read_recordings(options.sources, options.ring)
+    recording = read_tracks(options.sources, Choices(ring_m=options.ring))
     print_warnings(recording)
     most = None if options.add else FEW_STEPS
     settings = {"add": add, "most": most, "law": options.law, "seed": options.seed, "simulations": options.simulations}
@@ -117,7 +117,7 @@ def diagnose(options: _DiagnoseOptions) -> None:
     print_note(f"simulated recordings of each model: {found.simulations}; {found.wall_s:.0f} s")
 
 
-def _found(recording: "Trajectories | Tracks", **settings: Any) -> "Diagnosis":
+def _found(recording: "Tracks", **settings: Any) -> "Diagnosis":
     """The diagnosis, on all processors: of this machine, or of a worker of a cluster."""
     from sugiyama_ros.diagnosis.diagnose import diagnose as find
 
@@ -214,12 +214,13 @@ def compare(options: _CompareOptions) -> None:
     """
     from sugiyama_ros.diagnosis.compare import compare as compare_models
     from sugiyama_ros.fit.model_file import read_model
-    from sugiyama_ros.formats.registry import read_recordings
+    from sugiyama_ros.formats.choices import Choices
+    from sugiyama_ros.formats.registry import read_tracks
     from sugiyama_ros.page.document import comparison_document
     from sugiyama_ros.workers import helpers
 
     given = read_model(options.model) if options.model is not None else None
-    recording = read_recordings(options.sources, options.ring)
+    recording = read_tracks(options.sources, Choices(ring_m=options.ring))
     print_warnings(recording)
     with stages() as advance, helpers(options.scheduler) as workers:
         compared = compare_models(

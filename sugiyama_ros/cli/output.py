@@ -20,7 +20,6 @@ from sugiyama_ros.results import TextTable, plain
 if TYPE_CHECKING:
     from sugiyama_ros.page.truth import AgainstTruth
     from sugiyama_ros.trajectories.tracks import Tracks
-    from sugiyama_ros.trajectories.trajectories import Trajectories
 
 # Columns of a terminal, at least, and columns of a line that is not broken.
 _NARROW, _WIDE = 80, 1000
@@ -39,13 +38,9 @@ def print_note(text: str) -> None:
     _err.print(escape(text), soft_wrap=True, highlight=False)
 
 
-def print_warnings(recording: "Trajectories | Tracks") -> None:
+def print_warnings(tracks: "Tracks") -> None:
     """Print to stderr what a recording needs attention for."""
-    from sugiyama_ros.trajectories.jumps import wrong_ring
-    from sugiyama_ros.trajectories.trajectories import Trajectories
-
-    notes = (wrong_ring(recording),) if isinstance(recording, Trajectories) else recording.about.notes
-    for note in notes:
+    for note in tracks.about.notes:
         if note.startswith("warning"):
             print_note(note)
 

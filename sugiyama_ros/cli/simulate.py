@@ -78,22 +78,22 @@ def simulate(options: _SimulateOptions) -> None:
         return
     if options.view is not None:
         raise InputError("--view: is for tracks; add --lanes, or leave it out")
-    from sugiyama_ros.formats.plain_csv import write_csv
+    from sugiyama_ros.formats.table import write_csv
     from sugiyama_ros.formats.truth import write_simulated
 
     output = to_write(options.output, options.overwrite, ".mcap", ".csv")
     simulated = _simulated(options)
     if output.path.suffix == ".mcap":
-        write_simulated(simulated.measured, simulated.truth, output)
+        write_simulated(simulated.dense, simulated.truth, output)
     else:
-        write_csv(simulated.measured, output)
+        write_csv(simulated.dense, output)
     speed = simulated.speed[len(simulated.speed) // 2 :]
     second_half = {"v_avg": speed.mean(), "v_min": speed.min(axis=1).mean(), "v_max": speed.max(axis=1).mean()}
     document = {
         "output": str(options.output),
         "vehicles": options.vehicles,
         "steps": len(simulated.speed),
-        "duration_s": simulated.measured.duration_s,
+        "duration_s": simulated.dense.duration_s,
         "second_half": second_half,
         "collisions": [dataclasses.asdict(c) for c in simulated.collisions],
         "seed": options.seed,
@@ -101,14 +101,14 @@ def simulate(options: _SimulateOptions) -> None:
     if options.as_json:
         print_json(document)
         return
-    print_line(f"{options.vehicles} vehicles, {simulated.measured.duration_s:.1f} s, in {options.output}")
+    print_line(f"{options.vehicles} vehicles, {simulated.dense.duration_s:.1f} s, in {options.output}")
     shown = ", ".join(f"{name} {value:.2f}" for name, value in second_half.items())
     print_line(f"second half: {shown} m/s")
-    if output.path.suffix == ".csv" and simulated.measured.road.is_ring:
+    if output.path.suffix == ".csv" and simulated.dense.road.is_ring:
         # a table says nothing of the road
         from sugiyama_ros.cli.data import info
 
-        ring = simulated.measured.road.circumference_m
+        ring = simulated.dense.road.circumference_m
         print_line(f"look at it: {command_line('info', info, files=[options.output], ring=ring)}")
     for c in simulated.collisions:
         print_note(f"collision: vehicle {c.vehicle} into {c.leader} at {c.time_s:.1f} s; the run ends there")

@@ -39,7 +39,8 @@ def study(options: _StudyOptions) -> None:
 
     Some studies simulate drivers, others use measured drivers.
     """
-    from sugiyama_ros.formats.registry import read_trajectories
+    from sugiyama_ros.formats.choices import Choices
+    from sugiyama_ros.formats.registry import read_tracks
     from sugiyama_ros.studies.registry import STUDIES
     from sugiyama_ros.studies.registry import study as study_of
     from sugiyama_ros.studies.study import Asked
@@ -56,7 +57,9 @@ def study(options: _StudyOptions) -> None:
     if picture is not None:
         needs("matplotlib", "--output")
     asked = study_of(options.name)
-    trajectories = read_trajectories(options.source, options.ring) if options.source is not None else None
+    trajectories = None
+    if options.source is not None:
+        trajectories = read_tracks(options.source, Choices(ring_m=options.ring)).dense(str(options.source))
     with workers(options.runs) as work:
         answer = asked.answer(Asked(trajectories, options.runs, options.seed, work))
         if picture is not None:

@@ -13,14 +13,13 @@ from sugiyama_ros.diagnosis.score import scores
 from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.law import in_filter
+from sugiyama_ros.fit.preparation import prepare
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import PointwiseDensity, gain, unknown
 from sugiyama_ros.fit.smooth_positions import FREED, ROUNDING
-from sugiyama_ros.fit.stretched import prepared
 from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.progress import OnStage
 from sugiyama_ros.trajectories.tracks import Tracks
-from sugiyama_ros.trajectories.trajectories import Trajectories
 
 # Standard errors by which another base model must be better: a missing effect makes it a little better, too.
 _CLEAR = 5.0
@@ -49,7 +48,7 @@ def base_model(data: Recorded, work: Executor, law: str = PAPERS) -> tuple[Recor
 
 
 def with_more_decisions(
-    recording: Trajectories | Tracks,
+    recording: Tracks,
     data: Recorded,
     base: JointFit,
     work: Executor,
@@ -67,7 +66,7 @@ def with_more_decisions(
     most = int(data.apart_s / _SHORTEST_S * (1.0 + ROUNDING))
     for parts in range(data.decisions + 1, most + 1):
         on_progress("more decisions between samples", parts - data.decisions - 1, most - data.decisions)
-        finer, again = base_model(prepared(recording, parts), work, law)
+        finer, again = base_model(prepare(recording, parts), work, law)
         if again.samples.total <= best:
             break
         found, best = (finer, again), again.samples.total

@@ -18,16 +18,15 @@ from sugiyama_ros.fit.joint import JointFit, fit
 from sugiyama_ros.fit.law import by_gaps, in_filter
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.model_file import ModelFile
+from sugiyama_ros.fit.preparation import prepare
 from sugiyama_ros.fit.recording import FOLDS, Recorded, Vicinity
 from sugiyama_ros.fit.score import filtered_states
 from sugiyama_ros.fit.simulated import resample, seeds
-from sugiyama_ros.fit.stretched import prepared
 from sugiyama_ros.laws.registry import LAWS, RIVALS
 from sugiyama_ros.progress import OnStage
 from sugiyama_ros.results import Result, bars, needs, plain
 from sugiyama_ros.simulation.collective import Collective, collective, wave_speed_error
 from sugiyama_ros.trajectories.tracks import Tracks
-from sugiyama_ros.trajectories.trajectories import Trajectories
 from sugiyama_ros.workers import here_or_there, send
 
 if TYPE_CHECKING:
@@ -141,7 +140,7 @@ class Comparison(Result):
 
 
 def compare(
-    recording: Trajectories | Tracks,
+    recording: Tracks,
     effects: Sequence[str] = (),
     model: ModelFile | None = None,
     *,
@@ -155,8 +154,8 @@ def compare(
 
     Parameters
     ----------
-    recording : Trajectories or Tracks
-        The recording: a whole road, or tracks of vehicles that come and go.
+    recording : Tracks
+        What was recorded.
     effects : sequence of str
         Names of effects to add to the base model.
     model : ModelFile, optional
@@ -181,7 +180,7 @@ def compare(
     with here_or_there(workers) as (work, cluster):
         steps = 3 + len(RIVALS) + (model is not None) + bool(effects)
         on_progress("fitting the base model", 0, steps)
-        data, base = base_model(prepared(recording), work)
+        data, base = base_model(prepare(recording), work)
         data, base = with_more_decisions(recording, data, base, work) or (data, base)
         around = surroundings(data, base.model, work)
         sent = send(cluster, _law_there, (data, around, seed), RIVALS) if cluster is not None else []

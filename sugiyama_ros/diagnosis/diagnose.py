@@ -31,14 +31,13 @@ from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.fit.joint import JointFit, maximise
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.model_file import write_model
+from sugiyama_ros.fit.preparation import prepare
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.sandwich import shared_stds
-from sugiyama_ros.fit.stretched import prepared
 from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.progress import OnStage
 from sugiyama_ros.results import Result, bars, plain
 from sugiyama_ros.trajectories.tracks import Tracks
-from sugiyama_ros.trajectories.trajectories import Trajectories
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure
@@ -230,7 +229,7 @@ class Diagnosis(Result):
 
 
 def diagnose(
-    recording: Trajectories | Tracks,
+    recording: Tracks,
     *,
     add: Sequence[str] = (),
     most: int | None = None,
@@ -244,7 +243,7 @@ def diagnose(
 
     Parameters
     ----------
-    recording : Trajectories or Tracks
+    recording : Tracks
         The recording.
     add : sequence of str
         Names of what is added, whatever the data say; by default, what the data ask for.
@@ -274,7 +273,7 @@ def diagnose(
     began = time.monotonic()
     with ThreadPoolExecutor(workers) as work:
         on_progress("fitting the base model", 0, 1)
-        data, base = base_model(prepared(recording), work, law)
+        data, base = base_model(prepare(recording), work, law)
         bench = _bench(data, base, seed, simulations, work, on_progress)
         found = _scored(bench, base)
         is_open = found.chance.shows_something

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -20,11 +20,10 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.files import Target, number, read_yaml, writing
 from sugiyama_ros.fit.classes import DriverTypes
 from sugiyama_ros.fit.joint import JointFit
-from sugiyama_ros.fit.recording import Recorded, Vicinity
+from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.sandwich import own_stds, shared_stds
 from sugiyama_ros.laws.registry import LAWS, PAPERS, law, name_of, number_of
 from sugiyama_ros.plugins import FAILED
-from sugiyama_ros.trajectories.trajectories import Trajectories
 
 _FORMAT = 1
 # A recording in which every effect that a fit can find has a start.
@@ -84,29 +83,39 @@ def write_model(target: Target, data: Recorded, fitted: JointFit, cautions: Sequ
     """Write a fitted model to a file. Raises OutputError."""
     with ThreadPoolExecutor(1) as work:
         own, shared = own_stds(fitted), shared_stds(data, fitted, work)
-    write_drivers(target, data.vicinity, fitted.model.rows, own, shared, fitted.log_likelihood, cautions=cautions)
+    around = data.vicinity
+    origin = around.numbers, around.source, around.sha256
+    drivers = FittedDrivers(*origin, fitted.model.rows, own, shared, fitted.log_likelihood)
+    write_drivers(target, drivers, cautions=cautions)
+
+
+class FittedDrivers(NamedTuple):
+    """N drivers for a model file, and what they were fitted to.
+
+    numbers: numbers of the vehicles; source, sha256: name and checksum of the recording; rows: (N, WIDTH), row of each
+    driver; own_std: standard deviations of each driver's parameters; shared_std: of the parameters that all share;
+    log_likelihood: log-likelihood of the fit [nats].
+    """
+
+    numbers: Sequence[int]
+    source: str
+    sha256: str
+    rows: Array
+    own_std: Sequence[Mapping[str, float]]
+    shared_std: Mapping[str, float]
+    log_likelihood: float
 
 
 def write_drivers(
-    target: Target,
-    of: Trajectories | Vicinity,
-    rows: Array,
-    own_std: Sequence[Mapping[str, float]],
-    shared_std: Mapping[str, float],
-    log_likelihood: float,
-    types: DriverTypes | None = None,
-    cautions: Sequence[str] = (),
+    target: Target, fitted: FittedDrivers, types: DriverTypes | None = None, cautions: Sequence[str] = ()
 ) -> None:
-    """Write the parameters of drivers as a model file.
-
-    rows: (N, WIDTH), row of each driver; log_likelihood: log-likelihood of the fit [nats]. Raises OutputError.
-    """
-    numbers = of.numbers if isinstance(of, Vicinity) else of.vehicle.tolist()
+    """Write the parameters of drivers as a model file. Raises OutputError."""
+    numbers, source, sha256, rows, own_std, shared_std, log_likelihood = fitted
     drivers = {v: _driver(row, std) for v, row, std in zip(numbers, rows, own_std, strict=True)}
     document = {
         "sugiyama_model": _FORMAT,
         "version": version("sugiyama_ros"),
-        "data": {"source": of.source, "sha256": of.sha256, "log_likelihood": log_likelihood},
+        "data": {"source": source, "sha256": sha256, "log_likelihood": log_likelihood},
         "effects": list(active(rows)),
         "shared_std": dict(shared_std),
         "drivers": drivers,

@@ -6,23 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints, Mask
-from sugiyama_ros.driver.parameters import COUNT, RHO
-from sugiyama_ros.effects.registry import ROW
-from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN, Chain
-from sugiyama_ros.filters.extract import chain_behind
-from sugiyama_ros.fit.driver import most_seen
-from sugiyama_ros.fit.scoring import SMALLEST, fastest, lower_bounds, upper_bounds
 from sugiyama_ros.fit.smooth_positions import (
     Evenness,
-    apart_if_smoothed,
-    evenness,
-    measured,
-    measured_every,
-    smoothed_alike,
-    smoothing_window,
-    thinned,
-    with_short_periods,
 )
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.trajectories import Trajectories
@@ -141,8 +127,6 @@ def columns_of(chains: Sequence[Chain]) -> tuple[Array, Array, Ints]:
 BLOCK_S, FOLDS = 25.0, 5
 #: Largest product of drivers and samples of which a diagnosis takes everything; of more, it takes some drivers.
 MOST_SAMPLES = 200_000
-# Part of the samples in which a driver must have a leader, to count as a driver who follows.
-_LEAST_LED = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,109 +188,6 @@ class Recorded:
     def measured_samples(self) -> int:
         """Number of samples without those that came in between."""
         return len(range(0, self.samples, self.every))
-
-
-def within(most: int | None, drivers: int, samples: int) -> range:
-    """Return the numbers of drivers who stand for all."""
-    return range(0, drivers, 1 if most is None else min(drivers, -(-drivers * samples // most)))
-
-
-def prepare(trajectories: Trajectories, segment: Ints | None = None, most: int | None = None) -> Recorded:
-    """Prepare trajectories for a fit; filters restart where the number of the ``segment`` (T,) changes.
-
-    Raises InputError.
-    """
-    trajectories = with_short_periods(trajectories)
-    seen, decisions = measured(trajectories), measured_every(trajectories)
-    window = smoothing_window(seen.road.unwrap(seen.position_m).T, seen.period_s)
-    alike = smoothed_alike(trajectories.present.T, window * decisions)
-    if decisions == 1:
-        every = apart_if_smoothed(window, evenness(trajectories))
-        trajectories = replace(trajectories, position_m=thinned(trajectories.position_m, every))
-    samples, drivers = trajectories.position_m.shape
-    block = _blocks(trajectories)
-    who = within(most, drivers, -(-samples // measured_every(trajectories)))
-    chains = tuple(chain_behind(trajectories, i, segment=segment) for i in who)
-    unbroken = np.zeros(samples, np.int64) if segment is None else segment
-    even, speed = evenness(measured(trajectories)), fastest(measured(trajectories))
-    lower, upper = bounds_of(even, speed)
-    is_whole, around = len(who) == drivers, _vicinity(trajectories)
-    return Recorded(
-        vicinity=around if is_whole else behind_measured(around, chains, who),
-        chains=chains,
-        ahead=numbered(drivers, who)[_ahead(trajectories, who)],
-        block=np.tile(block, (len(who), 1)),
-        fold=np.tile(block % FOLDS, (len(who), 1)),
-        segment=np.tile(unbroken, (len(who), 1)),
-        scored=_who_follows(chains)[:, None] & alike[who],
-        even=even,
-        speed=speed,
-        lower=lower,
-        upper=upper,
-        trajectories=trajectories if is_whole else None,
-        every=measured_every(trajectories),
-        decisions=decisions,
-        smoothed_s=window * seen.period_s,
-        left_out=drivers - len(who),
-    )
-
-
-def _blocks(trajectories: Trajectories) -> Ints:
-    """Number of the block of time of each sample, (T,). Raises InputError for a recording that is too short."""
-    samples = len(trajectories.position_m)
-    duration = trajectories.period_s * samples
-    if duration < 8.0:
-        raise InputError(f"{trajectories.source}: lasts {duration:.1f} s; give at least 8 s to fit and to hold out")
-    block_s = min(BLOCK_S, duration / (2 * FOLDS))
-    number: Ints = (np.arange(samples) * trajectories.period_s / block_s).astype(np.int64)
-    return np.minimum(number, round(duration / block_s) - 1)
-
-
-def bounds_of(even: Evenness, speed: float) -> tuple[Array, Array]:
-    """Return smallest sizes and upper bounds (WIDTH,) of a search over rows; ``speed``: a high one in the data."""
-    lower = np.full(ROW.width, SMALLEST)
-    lower[:COUNT] = lower_bounds(even)
-    upper = np.array([p.upper for p in ROW.declared])
-    upper[:COUNT] = upper_bounds(speed)
-    upper[RHO] = 0.99
-    return lower, upper
-
-
-def _vicinity(t: Trajectories) -> Vicinity:
-    samples, drivers = t.position_m.shape
-    return Vicinity(
-        names=tuple(DriverName(number) for number in t.vehicle.tolist()),
-        position_m=t.position_m,
-        length_m=np.tile(t.length_m, (samples, 1)),
-        leader=t.leader,
-        time_s=np.tile((t.start_s + t.period_s * np.arange(samples))[:, None], (1, drivers)),
-        road=t.road,
-        period_s=t.period_s,
-        is_whole_road=True,
-        has_places=True,
-        source=t.source,
-        sha256=t.sha256,
-    )
-
-
-def _ahead(t: Trajectories, who: Sequence[int]) -> Ints:
-    """Columns of the vehicles ahead of some drivers in most samples, (N, CHAIN - 1), or -1."""
-    number, samples = {v: k for k, v in enumerate(t.vehicle.tolist())}, np.arange(len(t.position_m))
-    ahead = np.full((len(who), CHAIN - 1), -1)
-    for k, i in enumerate(who):
-        column = np.where(t.present[:, i], i, -1)
-        for m in range(1, CHAIN):
-            column = np.where(column >= 0, t.leader[samples, column], -1)
-            ahead[k, m - 1] = number.get(most_seen(np.where(column >= 0, t.vehicle[column], -1)), -1)
-    return ahead
-
-
-def _who_follows(chains: Sequence[Chain]) -> Mask:
-    """Whether each driver has a leader in a part of the samples, (N,); all True if nobody has."""
-    there = np.array([(chain.identity[:, 0] >= 0).sum() for chain in chains])
-    led = np.array([((chain.identity[:, 0] >= 0) & (chain.identity[:, 1] >= 0)).sum() for chain in chains])
-    follows = led > _LEAST_LED * there
-    return follows if follows.any() else np.ones_like(follows)
 
 
 def some_drivers(data: Recorded, who: Sequence[int]) -> Recorded:

@@ -12,9 +12,9 @@ from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.driver.parameters import at_period
 from sugiyama_ros.fit.joint import JointFit, fit
 from sugiyama_ros.fit.model import Model
-from sugiyama_ros.fit.recording import Recorded, prepare
+from sugiyama_ros.fit.preparation import driven_anew, prepare_road
+from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import between_measurements, filtered_states
-from sugiyama_ros.fit.stretched import driven_anew
 from sugiyama_ros.progress import OnStage
 from sugiyama_ros.simulation.behind import RecordedTraffic, drive_behind
 from sugiyama_ros.simulation.simulator import Clock, Simulator
@@ -61,7 +61,7 @@ def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generat
     empty = np.all(np.isnan(measured), axis=1)
     measured[empty] = t.position_m[empty]
     measured[np.isnan(t.position_m)] = np.nan
-    simulated = prepare(replace(t, position_m=measured, source="simulated from the fitted model"), segment)
+    simulated = prepare_road(replace(t, position_m=measured, source="simulated from the fitted model"), segment)
     return _without_collisions(simulated, collided)
 
 

@@ -1,5 +1,6 @@
 """What the user says about a file that the file does not say itself."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -51,6 +52,14 @@ class Choices:
 
     def __post_init__(self) -> None:
         Road(self.ring_m or 0.0)
+
+
+def agreed_ring(path: Path, said_m: float | None, choices: Choices) -> float:
+    """Circumference [m] of the ring, from the file or from the user. Raises InputError if the two differ."""
+    ring_m = choices.ring_m
+    if said_m is not None and ring_m is not None and not math.isclose(said_m, ring_m, rel_tol=1e-9):
+        raise InputError(f"{path}: says a ring of {said_m:g} m, but {ring_m:g} m was given; leave out --ring")
+    return Road(said_m if said_m is not None else ring_m or 0.0).circumference_m
 
 
 def read_choices(path: Path) -> Choices:

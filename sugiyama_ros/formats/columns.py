@@ -10,7 +10,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
-from sugiyama_ros.formats.format import Format, tracks_format
+from sugiyama_ros.formats.format import Format
 from sugiyama_ros.formats.reading import checksum_of, shown_name
 from sugiyama_ros.formats.sheet import Sheet, head_of, read_sheet
 from sugiyama_ros.trajectories.about import About, Leaders, Reference
@@ -185,7 +185,7 @@ def sheet_format(
             raise InputError(f"{path}:{refusal}")
         return read(sheet, choices)
 
-    return tracks_format(name, suffixes, lambda head, path: sheet_of(path, head) is not None, tracks, summary)
+    return Format(name, suffixes, lambda head, path: sheet_of(path, head) is not None, tracks, summary)
 
 
 def about_file(path: Path, leaders: Leaders = "found", **said: str) -> About:

@@ -21,7 +21,7 @@ from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.columns import about_file, put_together
-from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.format import Format
 from sugiyama_ros.formats.reading import elements, has_root, number, root_of
 from sugiyama_ros.formats.sheet import MAX_ROWS
 from sugiyama_ros.trajectories.assemble import AGREES
@@ -445,10 +445,10 @@ def _lanelet(element: Element, path: Path) -> _Lanelet:
     return _Lanelet(0.5 * (left + right), after, same)
 
 
-FORMAT = tracks_format(
+FORMAT = Format(
     name="commonroad",
     suffixes=(".xml",),
     recognise=lambda head, path: has_root(head, path, "commonRoad"),
-    tracks=read_commonroad,
+    read=read_commonroad,
     summary="CommonRoad scenarios: obstacles on lanelets",
 )

@@ -10,7 +10,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.columns import Rows, stacked
-from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.format import Format
 from sugiyama_ros.formats.reading import shown_name, shown_stem
 from sugiyama_ros.formats.sheet import head_of
 from sugiyama_ros.trajectories.about import About
@@ -104,10 +104,10 @@ def _column(name: str, parts: list[Tracks]) -> Array | Labels:
     return stacked(one if isinstance(one, Labels) else none for one, none in zip(columns, empty, strict=True))
 
 
-FORMAT = tracks_format(
+FORMAT = Format(
     name="folder",
     suffixes=(),
     recognise=lambda head, path: path.is_dir(),
-    tracks=read_folder,
+    read=read_folder,
     summary="a folder of tables in any of these formats: each file is a recording",
 )

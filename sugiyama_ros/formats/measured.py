@@ -1,5 +1,6 @@
 """Trajectories in a bag: messages on the topics ``road`` and ``measured``, written and read."""
 
+import math
 from array import array
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,11 +9,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.choices import Choices, agreed_ring
 from sugiyama_ros.formats.format import Format
 from sugiyama_ros.formats.mcap_records import MAGIC
 from sugiyama_ros.formats.reading import checksum_of, shown_name
-from sugiyama_ros.formats.samples import MAX_SAMPLES, agreed_road
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.about import About
+from sugiyama_ros.trajectories.assemble import Columns, assemble
+from sugiyama_ros.trajectories.labels import numbered
+from sugiyama_ros.trajectories.tracks import Tracks
+from sugiyama_ros.trajectories.trajectories import MAX_SAMPLES, Trajectories
 
 if TYPE_CHECKING:
     from sugiyama_ros.formats.mcap_reader import BagSource
@@ -82,11 +87,8 @@ def messages(trajectories: Trajectories) -> Iterator[tuple[str, int, bytes]]:
         )
 
 
-def read_measured(path: Path, ring_m: float | None = None) -> Trajectories:
-    """Read trajectories from a bag with one ``road`` and one ``measured`` topic, in any namespace.
-
-    ring_m: circumference [m] of the ring; must agree with the bag. Raises InputError.
-    """
+def read_measured(path: Path, choices: Choices) -> Tracks:
+    """Read tracks from a bag with one ``road`` and one ``measured`` topic, in any namespace. Raises InputError."""
     from sugiyama_ros.formats.mcap_reader import BagSource
 
     bag = BagSource(path)
@@ -100,7 +102,7 @@ def read_measured(path: Path, ring_m: float | None = None) -> Trajectories:
             raise InputError(f"{path}: {have} `{name}` with messages of {kind}; give a bag with exactly one{seen}")
         topics[found[0]] = kind
     try:
-        return _collected(bag, topics, ring_m)
+        return _collected(bag, topics, choices)
     except (AttributeError, TypeError, ValueError):
         # A bag brings its own definitions, which may have other fields.
         raise InputError(
@@ -108,8 +110,8 @@ def read_measured(path: Path, ring_m: float | None = None) -> Trajectories:
         ) from None
 
 
-def _collected(bag: "BagSource", topics: dict[str, str], ring_m: float | None) -> Trajectories:
-    """Trajectories from the messages on two topics, given by name with their types."""
+def _collected(bag: "BagSource", topics: dict[str, str], choices: Choices) -> Tracks:
+    """Tracks from the messages on two topics, given by name with their types."""
     path = bag.path
     road: Any = None
     columns = _Columns(path)
@@ -123,7 +125,14 @@ def _collected(bag: "BagSource", topics: dict[str, str], ring_m: float | None) -
             raise InputError(f"{path}: {message.topic!r}: the road changes; record one road in one bag")
     if road is None:
         raise InputError(f"{path}: no message on `road`; the bag is damaged")
-    return columns.trajectories(road, ring_m, road.sha256 or checksum_of(bag.files[0]))
+    about = About(
+        view="whole",
+        ring_m=agreed_ring(path, road.circumference_m, choices),
+        period_s=road.period_s,
+        source=road.source or shown_name(path),
+        sha256=road.sha256 or checksum_of(bag.files[0]),
+    )
+    return columns.tracks(about)
 
 
 def _checked(road: Any) -> Any:
@@ -182,37 +191,25 @@ class _Columns:
         self._row.extend([message.step - self._first[0]] * len(vehicles))
         self._position.extend(message.position_m.tolist())
 
-    def trajectories(self, road: Any, ring_m: float | None, checksum: str) -> Trajectories:
+    def tracks(self, about: About) -> Tracks:
         """All samples, on the time base that the road states."""
         if self._first is None or not self._row:
             raise InputError(f"{self._path}: measured: no positions; record some")
-        steps, cars = max(self._row) + 1, len(self._number)
-        if steps * cars > MAX_SAMPLES:
+        first_step, first_s = self._first
+        off_s = self._last_s - first_s - (self._last_step - first_step) * about.period_s
+        if not (0.0 < about.period_s < math.inf and abs(off_s) < 0.1 * about.period_s):
             raise InputError(
-                f"{self._path}: {steps} steps of {cars} vehicles are more than {MAX_SAMPLES} samples; split the bag"
-            )
-        first_s = self._first[1]
-        off_s = self._last_s - first_s - (self._last_step - self._first[0]) * road.period_s
-        if not (road.period_s > 0.0 and abs(off_s) < 0.1 * road.period_s):
-            raise InputError(
-                f"{self._path}: measured: the stamps do not follow the period of {road.period_s:g} s on `road`;"
+                f"{self._path}: measured: the stamps do not follow the period of {about.period_s:g} s on `road`;"
                 " the publisher is faulty"
             )
-        position = np.full((steps, cars), np.nan)
-        position[np.frombuffer(self._row, dtype=np.int64), np.frombuffer(self._column, dtype=np.int64)] = np.frombuffer(
-            self._position
-        )
-        agreed = agreed_road(self._path, road.circumference_m, ring_m)
-        return Trajectories(
-            position_m=agreed.wrap(position),
-            length_m=np.array(list(self._length.values())),
-            vehicle=np.array(list(self._number), dtype=np.int64),
-            road=agreed,
-            period_s=road.period_s,
-            start_s=first_s,
-            source=road.source or shown_name(self._path),
-            sha256=checksum,
-        )
+        column = np.frombuffer(self._column, dtype=np.int64)
+        columns: Columns = {
+            "vehicle": numbered(np.array(list(self._number))[column]),
+            "time_s": first_s + about.period_s * np.frombuffer(self._row, dtype=np.int64),
+            "s_m": np.frombuffer(self._position),
+            "length_m": np.array(list(self._length.values()))[column],
+        }
+        return assemble(columns, about, checked=False)
 
 
 def _is_bag(head: bytes, path: Path) -> bool:

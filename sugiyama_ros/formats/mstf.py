@@ -1,13 +1,19 @@
 """Reader of the ring experiments of the Mathematical Society of Traffic Flow (MSTF)."""
 
 import re
+from array import array
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.choices import Choices, agreed_ring
+from sugiyama_ros.formats.columns import Rows, about_file, put_together
 from sugiyama_ros.formats.format import Format, has_suffix
-from sugiyama_ros.formats.reading import lines, number, open_input, sha256
-from sugiyama_ros.formats.samples import Samples, agreed_road
-from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M, Trajectories
+from sugiyama_ros.formats.reading import lines, number, open_input
+from sugiyama_ros.trajectories.labels import numbered
+from sugiyama_ros.trajectories.tracks import Tracks
 
 # Lengths [m] of the cars of case 1, measured from the video: Dai et al., Table 1 (Vehicle sizes). Number = block.
 _CASE_1_LENGTH_M = [
@@ -18,20 +24,17 @@ _CASE_1_SHA256 = "91cf02c7cbf3fe6d817dd02ef347586b12a9134b1f914655e486be2f877345
 _CIRCUIT = re.compile(r"circuit length is +(\d+(?:\.\d*)?) *m\b")
 
 
-def read_mstf(path: Path, ring_m: float | None = None) -> Trajectories:
+def read_mstf(path: Path, choices: Choices) -> Tracks:
     """Read a ``.data`` file: lines of position [m] and time [s], one block for each car.
 
-    Cars are numbered by block, from 0. The file has no lengths: the cars of case 1 get the lengths in the reference,
-    other cars get ``DEFAULT_LENGTH_M``.
-
-    ring_m: circumference [m] of the ring, where the head of the file does not say it; 0 for an open road. Raises
-    InputError.
+    Cars are numbered by block, from 0. The file has no lengths: the cars of case 1 get the lengths in the reference.
+    Raises InputError.
 
     References
     ----------
     Dai et al., Table 1 (Vehicle sizes): lengths of the cars of case 1.
     """
-    samples = Samples(path)
+    rows = array("d")
     said_m = None
     block, in_block = -1, False
     with open_input(path) as stream:
@@ -49,13 +52,17 @@ def read_mstf(path: Path, ring_m: float | None = None) -> Trajectories:
                 raise InputError(f"{where}: {len(fields)} columns; an MSTF file has two, position and time")
             if not in_block:
                 block, in_block = block + 1, True
-            samples.add(number(fields[1], "time", where), block, number(fields[0], "position", where), where)
-        checksum = sha256(stream)
-    if said_m is None and ring_m is None:
+            rows.extend((block, number(fields[0], "position", where), number(fields[1], "time", where)))
+    if said_m is None and choices.ring_m is None:
         raise InputError(f"{path}: does not say the length of the circuit; give it with --ring (0 for an open road)")
-    cars = len(samples.vehicles)
-    lengths = _CASE_1_LENGTH_M if checksum == _CASE_1_SHA256 else [DEFAULT_LENGTH_M] * cars
-    return samples.trajectories(lengths, agreed_road(path, said_m, ring_m), checksum)
+    if not rows:
+        raise InputError(f"{path}: no samples; give a table of positions")
+    car, position, time = np.frombuffer(rows).reshape(-1, 3).T
+    columns: Rows = {"vehicle": numbered(car), "s_m": position, "time_s": time}
+    about = replace(about_file(path), view="whole", ring_m=agreed_ring(path, said_m, choices))
+    if about.sha256 == _CASE_1_SHA256:
+        columns["length_m"] = np.array(_CASE_1_LENGTH_M)[car.astype(np.int64)]
+    return put_together(columns, about, choices)
 
 
 FORMAT = Format(

@@ -9,7 +9,7 @@ from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.columns import about_file, put_together
-from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.format import Format
 from sugiyama_ros.formats.reading import shown_stem
 from sugiyama_ros.formats.sheet import Sheet, head_of, read_sheet, sheet_of
 from sugiyama_ros.trajectories.about import About
@@ -127,11 +127,11 @@ def _sheet(path: Path, head: bytes) -> Sheet | None:
     return sheet if found else None
 
 
-FORMAT = tracks_format(
+FORMAT = Format(
     name="openacc",
     suffixes=(".csv",),
     recognise=lambda head, path: _sheet(path, head) is not None,
-    tracks=read_openacc,
+    read=read_openacc,
     summary="OpenACC: a platoon in one wide table; places become positions along the common path",
 )
 

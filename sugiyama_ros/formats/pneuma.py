@@ -10,7 +10,7 @@ from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.columns import about_file, put_together
-from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.format import Format
 from sugiyama_ros.formats.reading import number, open_input
 from sugiyama_ros.formats.sheet import MAX_ROWS
 from sugiyama_ros.trajectories.labels import Labels, labels
@@ -113,10 +113,10 @@ def _recognise(head: bytes, path: Path) -> bool:
     return tuple(one.strip().lower() for one in first.split(";"))[: len(_HEAD)] == _HEAD
 
 
-FORMAT = tracks_format(
+FORMAT = Format(
     name="pneuma",
     suffixes=(".csv",),
     recognise=_recognise,
-    tracks=read_pneuma,
+    read=read_pneuma,
     summary="pNEUMA: lines of different lengths, places in degrees; no lanes and no leaders",
 )

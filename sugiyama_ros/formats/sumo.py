@@ -13,7 +13,7 @@ from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.columns import Rows, about_file, need, put_together, read_columns, stacked, take, text_of
-from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.format import Format
 from sugiyama_ros.formats.reading import attribute, elements, has_root
 from sugiyama_ros.formats.sheet import MAX_ROWS, head_of, sheet_of
 from sugiyama_ros.trajectories.labels import Labels, labels
@@ -179,11 +179,11 @@ def _recognise(head: bytes, path: Path) -> bool:
     return sheet is not None and sheet.has("timestep_time", "vehicle_id", "vehicle_pos", "vehicle_speed")
 
 
-FORMAT = tracks_format(
+FORMAT = Format(
     name="sumo",
     suffixes=(".xml", ".csv", ".parquet"),
     recognise=_recognise,
-    tracks=read_sumo,
+    read=read_sumo,
     summary="floating car data of SUMO as XML, CSV or Parquet: lanes on edges that follow one another",
 )
 

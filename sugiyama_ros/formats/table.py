@@ -1,4 +1,8 @@
-"""Plain tables: CSV with any separator, Parquet or data frames, with columns of tracks or a map of columns."""
+"""Plain tables: CSV with any separator, Parquet or data frames, with columns of tracks or a map of columns.
+
+A table with ``position_m`` in place of ``s_m``, and without recordings, roads, lanes and leaders, is of one road on
+which everybody is in view.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -8,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.files import Target, writing
 from sugiyama_ros.formats.choices import COLUMNS, PAIRED, Choices
 from sugiyama_ros.formats.columns import (
     Take,
     about_file,
     fits,
-    in_seconds,
     need,
     put_together,
     read_columns,
@@ -21,15 +25,13 @@ from sugiyama_ros.formats.columns import (
     text_of,
     without_nobody,
 )
-from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.format import Format
 from sugiyama_ros.formats.pairs import both_of
 from sugiyama_ros.formats.reading import why_no_text
-from sugiyama_ros.formats.samples import Samples, agreed_road
 from sugiyama_ros.formats.sheet import Sheet, head_of, sheet_of
 from sugiyama_ros.trajectories.about import About
-from sugiyama_ros.trajectories.one_lane import is_numbered, one_lane
 from sugiyama_ros.trajectories.tracks import Tracks
-from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M, Trajectories
+from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: Columns by their own names, or by others that say the same.
 _PLAIN: dict[str, Take] = {
@@ -40,6 +42,10 @@ _PLAIN: dict[str, Take] = {
     "speed": take("speed_mps", "speed_m_s"),
     "some_speed": take("speed", "velocity"),
 }
+# Name of a data frame in messages.
+_WHERE = Path("data frame")
+# Columns of files with more than one road on which everybody is in view.
+_OF_PARTS = {"recording", "road", "lane", "leader"}
 _SUFFIXES = (".csv", ".tsv", ".parquet")
 
 
@@ -78,7 +84,21 @@ def tracks_of_sheet(sheet: Sheet, choices: Choices, about: About) -> Tracks:
             about = replace(about, leaders="given")
         else:
             del columns["leader"]
+    if sheet.find("s_m") is None and sheet.find("position_m") is not None and not _OF_PARTS & set(columns):
+        about = replace(about, view="whole")
     return put_together(columns, about, choices)
+
+
+def write_csv(road: Trajectories, target: Target) -> None:
+    """Write one road as CSV; missing samples have an empty position. Raises OutputError."""
+    with writing(target) as stream:
+        stream.write(b"time_s,vehicle,position_m,length_m\n")
+        vehicles = list(zip(road.vehicle.tolist(), road.length_m.tolist(), strict=True))
+        for time, positions, present in zip(road.time_s.tolist(), road.position_m, road.present, strict=True):
+            for column in np.flatnonzero(present):
+                vehicle, length = vehicles[column]
+                position = "" if np.isnan(positions[column]) else repr(float(positions[column]))
+                stream.write(f"{time!r},{vehicle},{position},{length!r}\n".encode())
 
 
 def _recognise(head: bytes, path: Path) -> bool:
@@ -89,50 +109,13 @@ def _recognise(head: bytes, path: Path) -> bool:
     return sheet is not None and fits(sheet, _PLAIN)
 
 
-FORMAT = tracks_format(
+FORMAT = Format(
     name="table",
     suffixes=(*_SUFFIXES, ".txt"),
     recognise=_recognise,
-    tracks=read_table,
-    summary="a table with the columns of tracks (time_s, vehicle, s_m, and more if known), or any table with --columns",
+    read=read_table,
+    summary="a table with time_s, vehicle and s_m or position_m, and more columns if known; any table with --columns",
 )
-
-
-_WHERE = Path("data frame")
-_WANTED = {
-    "time_s": need("time_s"),
-    "vehicle": need("vehicle"),
-    "position_m": need("position_m", "s_m"),
-    "length_m": take("length_m"),
-}
-
-
-def from_frame(frame: Any, ring_m: float | None = None) -> Trajectories:
-    """Read trajectories from a data frame.
-
-    frame: columns time_s [s], vehicle, position_m [m] and perhaps length_m [m]; one row for each sample; times may also
-    be dates or time differences; vehicles may have names; then their numbers are those in the names; ring_m:
-    circumference [m] of the ring; an open road without it. Raises InputError.
-    """
-    sheet = _sheet_of_frame(frame)
-    table = read_columns(sheet, _WANTED)
-    vehicle = text_of(table, "vehicle")
-    if not is_numbered(vehicle):
-        return one_lane(tracks_of_frame(frame, Choices(ring_m=ring_m)), str(_WHERE))
-    time, _ = in_seconds(np.asarray(table["time_s"]))
-    position, length = np.asarray(table["position_m"]), np.asarray(table.get("length_m", np.full(len(time), np.nan)))
-    if not np.isfinite(time).all() or (vehicle.code < 0).any():
-        raise InputError(f"{_WHERE}: a time or a vehicle is missing; correct or drop the rows, as by frame.dropna")
-    samples = Samples(_WHERE)
-    lengths: dict[int, float] = {}
-    numbers = np.array([int(text) for text in vehicle.text])[vehicle.code]
-    for k in np.lexsort((numbers, time)).tolist():
-        number = int(numbers[k])
-        samples.add(float(time[k]), number, float(position[k]), f"{_WHERE}: row {k}")
-        if np.isfinite(length[k]):
-            lengths.setdefault(number, float(length[k]))
-    length_m = [lengths.get(number, DEFAULT_LENGTH_M) for number in samples.vehicles]
-    return samples.trajectories(length_m, agreed_road(_WHERE, None, ring_m), "")
 
 
 def tracks_of_frame(frame: Any, choices: Choices | None = None) -> Tracks:

@@ -8,7 +8,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.files import Target, output_of, writing
 from sugiyama_ros.formats.choices import COLUMNS, Choices
 from sugiyama_ros.formats.columns import is_number
-from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.format import Format
 from sugiyama_ros.formats.sheet import head_of, read_sheet, sheet_of
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.exchange import about_of, of_columns, to_arrow, write_parquet
@@ -63,10 +63,10 @@ def _about(head: bytes, path: Path) -> About | None:
         return None
 
 
-FORMAT = tracks_format(
+FORMAT = Format(
     name="tracks",
     suffixes=(".parquet",),
     recognise=lambda head, path: _about(head, path) is not None,
-    tracks=read_tracks_parquet,
+    read=read_tracks_parquet,
     summary="tracks in Parquet, as sugiyama convert writes them",
 )

@@ -12,8 +12,7 @@ from sugiyama_ros.files import Target
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.mcap_writer import LATCHED_TOPIC, BagWriter, Qos
 from sugiyama_ros.formats.measured import FRAME, MEASURED_TYPE, ROAD_TYPE, messages, stamp_ns
-from sugiyama_ros.formats.samples import MAX_SAMPLES
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.trajectories import MAX_SAMPLES, Trajectories
 from sugiyama_ros.trajectories.truth import TrueDriver, Truth
 
 TRUTH_TYPE, PARAMETERS_TYPE = "sugiyama_msgs/msg/Truth", "sugiyama_msgs/msg/TrueParameters"

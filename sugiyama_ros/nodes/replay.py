@@ -12,12 +12,13 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.measured import FORMAT as BAG
 from sugiyama_ros.formats.measured import stamp_ns
-from sugiyama_ros.formats.registry import format_of, known_suffixes, read_tracks, read_trajectories
+from sugiyama_ros.formats.registry import format_of, known_suffixes, read_tracks
 from sugiyama_ros.formats.truth import read_truth
 from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER, PositionSamples
 from sugiyama_ros.nodes.source import Source, TrueTopics, answer
 from sugiyama_ros.road import Road
+from sugiyama_ros.trajectories.dense import whole_road
 from sugiyama_ros.trajectories.placing import Positions
 from sugiyama_ros.trajectories.time_base import on_time_base, period_of
 from sugiyama_ros.trajectories.tracks import FREE, Tracks
@@ -132,14 +133,15 @@ def _lanes(tracks: Tracks) -> Ints:
 
 
 def samples_of(path: Path, ring_m: float | None) -> "RecordedPositions | TrackSamples":
-    """Read a file: vehicles that come and go on lanes, or trajectories on one lane.
+    """Read a file: vehicles that come and go on lanes, or one road on which everybody is recorded.
 
     ring_m: circumference [m] of the ring, where the file does not say it. Raises InputError.
     """
-    if format_of(path).is_of_tracks:
-        return TrackSamples(read_tracks(path, Choices(ring_m=ring_m)))
-    trajectories = read_trajectories(path, ring_m)
-    return RecordedPositions(trajectories, read_truth(path) if format_of(path) is BAG else None)
+    tracks = read_tracks(path, Choices(ring_m=ring_m))
+    road = whole_road(tracks)
+    if road is None:
+        return TrackSamples(tracks)
+    return RecordedPositions(road, read_truth(path) if format_of(path) is BAG else None)
 
 
 class _RecordedTruth:

@@ -11,7 +11,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.driver.parameters import NAMES, UTILITY
 from sugiyama_ros.formats.mcap_reader import Bag
-from sugiyama_ros.formats.registry import read_trajectories
+from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.laws.registry import LAWS
 from sugiyama_ros.results import Result, space_time
 from sugiyama_ros.trajectories.trajectories import Trajectories
@@ -168,7 +168,7 @@ def is_of_law(name: str) -> bool:
 
 def read_recording(path: Path) -> Recording:
     """Read a bag that `sugiyama run` recorded, or a file of trajectories in a bag. Raises InputError."""
-    t = read_trajectories(path, None)
+    t = read_tracks(path).dense(str(path))
     reading = _Reading(t)
     with Bag(path) as bag:
         model = bag.info().metadata.get("sugiyama", {}).get("model", "")

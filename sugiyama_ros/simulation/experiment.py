@@ -9,11 +9,10 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, index
 from sugiyama_ros.effects.registry import switch_on
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.samples import MAX_SAMPLES
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.result import Simulation
 from sugiyama_ros.simulation.simulator import Clock, Simulator, evenly, platoon, simulate
-from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M
+from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M, MAX_SAMPLES
 
 # Vehicles on a road, at most.
 _MAX_VEHICLES = 100_000

@@ -52,7 +52,7 @@ def simulate_lanes(
         )
         if run.collisions:
             raise InputError(f"simulation: vehicles collide on lane {number}; take another seed, or other drivers")
-        position = run.measured.position_m
+        position = run.dense.position_m
         step, vehicle = np.nonzero((position >= view_m[0]) & (position < view_m[1]))
         parts.append(
             {

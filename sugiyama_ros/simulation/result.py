@@ -1,6 +1,7 @@
 """What a simulation gives: measured and true motion, and collisions."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,9 +10,11 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import COUNT, NAMES
 from sugiyama_ros.effects.registry import ROW, active
-from sugiyama_ros.formats.plain_csv import write_csv
+from sugiyama_ros.formats.table import write_csv
 from sugiyama_ros.formats.truth import write_simulated
 from sugiyama_ros.results import Result, space_time
+from sugiyama_ros.trajectories.dense import tracks_of
+from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
 from sugiyama_ros.trajectories.truth import TrueDriver, Truth
 
@@ -34,8 +37,8 @@ class Simulation(Result):
 
     Parameters
     ----------
-    measured : Trajectories
-        Positions as a camera would have measured them.
+    dense : Trajectories
+        Positions as a camera would have measured them, as arrays.
     parameters : ndarray, shape (N, width)
         Rows of the drivers at the reference period.
     position_m : ndarray, shape (T, N)
@@ -46,17 +49,22 @@ class Simulation(Result):
         Collisions, in the order of time.
     """
 
-    measured: Trajectories
+    dense: Trajectories
     parameters: Array
     position_m: Array
     speed: Array
     acceleration: Array
     collisions: tuple[Collision, ...]
 
+    @cached_property
+    def measured(self) -> Tracks:
+        """What a camera would have measured, as `sugiyama_ros.read` returns it."""
+        return tracks_of(self.dense)
+
     @property
     def truth(self) -> Truth:
         """What the drivers really did, and with which parameters."""
-        t = self.measured
+        t = self.dense
         leader = t.leader[0]
         ahead_m = t.road.space_headway(self.position_m[:, leader], self.position_m)
         gap_m = np.where(leader >= 0, ahead_m - 0.5 * (t.length_m + t.length_m[leader]), np.inf)
@@ -69,11 +77,11 @@ class Simulation(Result):
     def headline(self) -> str:
         """Say what was simulated, how fast the drivers drove, and how often they collided."""
         collisions = f"; {len(self.collisions)} collisions" if self.collisions else ""
-        return f"{self.measured.headline()}; mean speed {self.speed.mean():.2f} m/s{collisions}"
+        return f"{self.dense.headline()}; mean speed {self.speed.mean():.2f} m/s{collisions}"
 
     def records(self) -> list[dict[str, Any]]:
         """List all samples: measured position, and true position, speed and acceleration; SI units."""
-        t = self.measured
+        t = self.dense
         return [
             {
                 "time_s": time,
@@ -89,7 +97,7 @@ class Simulation(Result):
 
     def draw(self, figure: "Figure | SubFigure") -> None:
         """Draw the true positions over time, coloured by speed."""
-        space_time(figure, self.measured.time_s, self.position_m, self.speed)
+        space_time(figure, self.dense.time_s, self.position_m, self.speed)
 
     def save(self, path: str | Path) -> None:
         """Write the simulation to a file.
@@ -108,9 +116,9 @@ class Simulation(Result):
             If the file cannot be written.
         """
         if Path(path).suffix == ".mcap":
-            write_simulated(self.measured, self.truth, Path(path))
+            write_simulated(self.dense, self.truth, Path(path))
         elif Path(path).suffix == ".csv":
-            write_csv(self.measured, Path(path))
+            write_csv(self.dense, Path(path))
         else:
             super().save(path)
 

@@ -201,7 +201,7 @@ def simulate(simulator: Simulator, duration_s: float, *, stop_at_collision: bool
         if collisions and stop_at_collision:
             break
     return Simulation(
-        measured=Trajectories(
+        dense=Trajectories(
             position_m=measured[:taken],
             length_m=simulator.length_m,
             vehicle=np.arange(vehicles),

@@ -6,6 +6,7 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.calibration.on_tracks import calibrate_tracks
+from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults, index
 from sugiyama_ros.fit.smooth_positions import ESTIMATED
 from sugiyama_ros.simulation.lanes import Lane, simulate_lanes
@@ -51,7 +52,7 @@ def _answer(asked: Asked) -> Answer:
     found: list[dict[str, Any]] = []
     for k in range(asked.runs):
         tracks = two_lanes(np.random.default_rng(asked.seed + k))
-        found += calibrate_tracks(tracks, ESTIMATED, profiled=True, work=asked.work).records()
+        found += calibrate_tracks(tracks, Settings(profiled=True), asked.work).records()
     rows: list[Row] = []
     held: dict[tuple[str, str], Array] = {}
     for kind in (_CAR, _TRUCK):

@@ -86,7 +86,7 @@ def jams(spread: Mapping[int, float], runs: int, seed: int, duration_s: float) -
             drivers[:, place] *= np.exp(std * rng.standard_normal(CARS))
         simulated = run(Ring(drivers, seed + k, jammed=True, duration_s=duration_s))
         if not simulated.collisions:
-            yield drivers, simulated.measured
+            yield drivers, simulated.dense
         collided += bool(simulated.collisions)
     if collided == runs:
         raise InputError(f"study: cars collide in all simulated runs ({runs}); give more --runs, or another --seed")
@@ -148,7 +148,7 @@ def summed_up(found: Sequence[_Outcome]) -> dict[str, float]:
 def _space_time(axes: Any, simulation: Simulation) -> None:
     """Draw position over time, coloured by speed, into matplotlib's ``axes``."""
     s = simulation
-    time = np.arange(len(s.position_m)) * s.measured.period_s
+    time = np.arange(len(s.position_m)) * s.dense.period_s
     for i in range(s.position_m.shape[1]):
         axes.scatter(time, s.position_m[:, i], c=s.speed[:, i], s=0.3, cmap="viridis", vmin=0.0, vmax=12.0)
     axes.set(xlabel="time [s]", ylabel="position [m]")

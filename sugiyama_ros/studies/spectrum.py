@@ -39,8 +39,8 @@ def _eigenvalues(trajectories: Trajectories) -> Array:
 def _answer(asked: Asked) -> Answer:
     """Compare a simulated jam, simulated free flow, and the measured drivers if there are any."""
     settings = {
-        "jam": run(Ring(defaults(CARS), asked.seed, jammed=True, duration_s=_DURATION_S)).measured,
-        "free flow": run(Ring(defaults(CARS), asked.seed, ring_m=_FREE_RING_M, duration_s=_DURATION_S)).measured,
+        "jam": run(Ring(defaults(CARS), asked.seed, jammed=True, duration_s=_DURATION_S)).dense,
+        "free flow": run(Ring(defaults(CARS), asked.seed, ring_m=_FREE_RING_M, duration_s=_DURATION_S)).dense,
     }
     if asked.trajectories is not None:
         settings["measured"] = asked.trajectories

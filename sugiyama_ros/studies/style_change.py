@@ -63,7 +63,7 @@ def _count(asked: Asked, ring_m: float) -> _Count:
     delays: list[float] = []
     false_alarms, hours = 0, 0.0
     for unchanged, switched in _pairs(asked, ring_m):
-        t = switched.measured
+        t = switched.dense
         is_slowed = _slowed(unchanged, switched)
         for i, one in enumerate(asked.work.map(followed, [(t, i) for i in range(CARS)])):
             if is_slowed[i]:
@@ -96,7 +96,7 @@ def _pairs(asked: Asked, ring_m: float) -> Iterator[tuple[Simulation, Simulation
 
 def _slowed(unchanged: Simulation, switched: Simulation) -> Mask:
     """Which drivers (N,) the change slows down: a driver in a queue could not have driven faster without the change."""
-    period_s = switched.measured.period_s
+    period_s = switched.dense.period_s
     after = slice(round(_SWITCH_S / period_s), round((_SWITCH_S + _SOON_S) / period_s))
     loses_speed = np.mean(unchanged.speed[after] - switched.speed[after], axis=0) > _LEAST_LOSS
     return np.asarray(_SLOWED & loses_speed)

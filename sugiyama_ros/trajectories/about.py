@@ -17,8 +17,9 @@ class About:
     vehicles beyond the first one were out of view, so that the leader of the first is unknown; "whole": everybody was
     in view, so that the first vehicle has a free road; leaders: "found": the next vehicle ahead leads, and what the
     file says is only compared; "given": the file says who leads; ring_m: circumference [m] of a ring road; 0 for open
-    roads; source, sha256, licence: name and checksum of the file, and its terms of use; dropped: the ledger: reasons
-    for which rows were left out, and how many rows; notes: what was changed or looks odd.
+    roads; period_s: time [s] between two samples, if the source states it; 0 if not; source, sha256, licence: name and
+    checksum of the file, and its terms of use; dropped: the ledger: reasons for which rows were left out, and how many
+    rows; notes: what was changed or looks odd.
     """
 
     reference: Reference = "centre"
@@ -27,6 +28,7 @@ class About:
     view: View = "end"
     leaders: Leaders = "found"
     ring_m: float = 0.0
+    period_s: float = 0.0
     source: str = ""
     sha256: str = ""
     licence: str = ""

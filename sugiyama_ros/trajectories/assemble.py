@@ -9,8 +9,9 @@ from numpy.typing import ArrayLike
 
 from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.about import About, Reference
-from sugiyama_ros.trajectories.jumps import FASTEST, jumps_noted
+from sugiyama_ros.trajectories.jumps import FASTEST, jumps_noted, wrong_ring
 from sugiyama_ros.trajectories.labels import Labels, labels, labels_of, matched, numbered, same_label
 from sugiyama_ros.trajectories.leaders import (
     LEAST_AGREEMENT,
@@ -81,10 +82,8 @@ def assemble(
         measured=number["measured"] != 0.0 if "measured" in number else None,
     )
     tracks = led(tracks, text.get("leader"), compared=checked)
-    if not checked:
-        return tracks
-    check_gaps(tracks)
-    return replace(tracks, about=tracks.about.noting(jumps_noted(tracks)))
+    checks = (check_gaps, jumps_noted, wrong_ring) if checked else (wrong_ring,)
+    return replace(tracks, about=tracks.about.noting(*(check(tracks) for check in checks)))
 
 
 def led(tracks: Tracks, named: Labels | None, compared: bool = True) -> Tracks:
@@ -221,7 +220,8 @@ def _in_usual_units(table: _Table) -> _Table:
     cut = np.flatnonzero(broken)
     first, last = np.append(0, cut + 1), np.append(cut, len(run) - 1)
     first, last = first[last > first], last[last > first]
-    speed = float(np.median(np.abs(s[last] - s[first]) / (time[last] - time[first]))) if len(first) else 0.0
+    way = np.abs(Road(table.about.ring_m).difference(s[last], s[first]))
+    speed = float(np.median(way / (time[last] - time[first]))) if len(first) else 0.0
     if speed > FASTEST:
         raise InputError(
             f"{table.source}: vehicles move at {speed:.3g} m/s; check the units of positions and times (--columns)"

@@ -66,6 +66,8 @@ def _is_valid(about: About) -> bool:
         and all(chosen in get_args(known) for chosen, known in choices)
         and isinstance(about.ring_m, int | float)
         and 0.0 <= about.ring_m < math.inf
+        and isinstance(about.period_s, int | float)
+        and 0.0 <= about.period_s < math.inf
     )
 
 

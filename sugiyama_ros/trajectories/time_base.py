@@ -120,7 +120,8 @@ def resample(tracks: Tracks, period_s: float) -> Tracks:
         )
     nearest = axis.nearest()
     s = _local_parabola(axis, _unwrapped(tracks), max(period_s, 1.5 * own), nearest)
-    about = tracks.about.noting(f"positions were estimated at multiples of {period_s:g} s from samples of {own:.3g} s")
+    about = replace(tracks.about, period_s=0.0)
+    about = about.noting(f"positions were estimated at multiples of {period_s:g} s from samples of {own:.3g} s")
     kept: dict[str, Labels | Array | Mask | None] = {}
     for name in (*TEXTS, *NUMBERS, "measured"):
         column = tracks.column(name)
@@ -133,8 +134,7 @@ def resample(tracks: Tracks, period_s: float) -> Tracks:
         new = replace(new, leader_row=given_leaders(new, tracks.leader[nearest]))
     else:
         new = led(new, None)
-    check_gaps(new)
-    return new
+    return replace(new, about=new.about.noting(check_gaps(new)))
 
 
 def _smoothed(about: About, own_s: float, period_s: float) -> About:

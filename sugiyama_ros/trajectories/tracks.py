@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure, SubFigure
 
+    from sugiyama_ros.trajectories.trajectories import Trajectories
+
 #: Leader of a driver whom nobody is ahead of, and of a driver whose leader is not in the table.
 FREE, UNKNOWN = -1, -2
 #: Names of the columns of text and of numbers, in the order of a file.
@@ -128,7 +130,7 @@ class Tracks(Result):
         return (*REQUIRED, *(name for name in optional if self.column(name) is not None))
 
     def select(self, rows: Mask) -> "Tracks":
-        """Keep some of the rows; a leader who is left out is unknown from then on.
+        """Keep some of the rows; a leader who is left out is unknown from then on, and not everybody is in view.
 
         Parameters
         ----------
@@ -146,7 +148,31 @@ class Tracks(Result):
         kept["vehicle_class"] = kept.pop("class")
         start = starts(self.run[rows])
         leader_row = np.where(ahead >= 0, new_row[np.maximum(ahead, 0)], ahead)
-        return replace(self, **kept, leader_row=leader_row, start=start)  # type: ignore[arg-type]
+        lost = bool(np.any((ahead >= 0) & (leader_row < 0)))
+        about = replace(self.about, view="end") if lost else self.about
+        return replace(self, **kept, leader_row=leader_row, start=start, about=about)  # type: ignore[arg-type]
+
+    def dense(self, where: str = "") -> "Trajectories":
+        """Return the positions as arrays with a row for each time and a column for each vehicle.
+
+        Parameters
+        ----------
+        where : str
+            Name of the file in error messages; by default the name of the source.
+
+        Returns
+        -------
+        Trajectories
+            Positions (T, N) of N vehicles at T regular times; NaN where a vehicle has no row.
+
+        Raises
+        ------
+        InputError
+            For more than one recording, road or lane, and where the vehicle ahead on the lane is not the leader.
+        """
+        from sugiyama_ros.trajectories.dense import dense
+
+        return dense(self, where)
 
     def headline(self) -> str:
         """Say how many vehicles, recordings and rows there are, and how many leaders are known."""

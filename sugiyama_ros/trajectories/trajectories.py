@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 #: Length [m] of a vehicle if the file does not give the length: the mean of the paper's Table 1.
 DEFAULT_LENGTH_M = 4.33
+#: Largest number of samples, including missing samples: vehicles times time steps.
+MAX_SAMPLES = 20_000_000
 _RESAMPLE = "sugiyama convert FILE even.parquet --period SECONDS"
 
 

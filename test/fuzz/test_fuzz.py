@@ -37,7 +37,7 @@ from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.formats.choices import read_choices
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.recover import recover
-from sugiyama_ros.formats.registry import read_tracks, read_trajectories
+from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.nodes.base import incoming
 from sugiyama_ros.nodes.keeper import read_learnt
 from sugiyama_ros.page.diagnosis import read_diagnosis
@@ -78,7 +78,7 @@ def contents(path: Path) -> None:
 
 
 def positions(path: Path) -> None:
-    trajectories = read_trajectories(path)
+    trajectories = read_tracks(path).dense()
     assert not np.isinf(trajectories.position_m).any()
     assert trajectories.period_s > 0.0
 

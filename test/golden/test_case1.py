@@ -10,7 +10,7 @@ from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR
 from sugiyama_ros.filters import causal
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.fit.driver import calibrate
-from sugiyama_ros.formats.registry import read_trajectories
+from sugiyama_ros.formats.registry import read_tracks
 
 CASE1 = Path(__file__).parents[2].parent / "shared/data/sugiyama2008_mstf/case1.data"
 pytestmark = pytest.mark.skipif(
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def case1():
-    return read_trajectories(CASE1)
+    return read_tracks(CASE1).dense()
 
 
 @pytest.fixture(scope="module")

@@ -40,7 +40,7 @@ def simulated(name):
 @pytest.mark.parametrize("name", REFERENCE)
 def test_numbers_have_not_moved(name):
     rows, simulation = simulated(name)
-    t, expected = simulation.measured, REFERENCE[name]
+    t, expected = simulation.dense, REFERENCE[name]
     assert t.position_m[-1] == pytest.approx(expected["measured_m"], rel=1e-9)
     assert simulation.speed[-1] == pytest.approx(expected["speed"], rel=1e-9)
     chain = chain_behind(t, DRIVER)
@@ -55,6 +55,6 @@ def test_numbers_have_not_moved(name):
 
 def test_the_papers_likelihood_and_its_gradient_have_not_moved():
     rows, simulation = simulated("none")
-    scored = paper.score(paper.perceive(simulation.measured, DRIVER), rows[DRIVER, :COUNT])
+    scored = paper.score(paper.perceive(simulation.dense, DRIVER), rows[DRIVER, :COUNT])
     assert scored.log_likelihood == pytest.approx(REFERENCE["none"]["paper"], rel=1e-9)
     assert scored.gradient == pytest.approx(REFERENCE["none"]["paper_gradient"], rel=1e-9)

@@ -131,7 +131,7 @@ def test_a_folder_of_rosbag2_to_parameters(here: Here, storage: str) -> None:
     told = here.tells("convert drive tracks.parquet --odometry /car*/odom --centerline line.csv")
     assert told["vehicles"] == 3
     true = recordings.drivers(3, 0.0, 40.0, period_s=0.1)
-    tracks = sg.read_tracks(here / "tracks.parquet")
+    tracks = sg.read(here / "tracks.parquet")
     seen = tracks.to_frame().groupby("vehicle", observed=True)["s_m"].agg(lambda s: s.iloc[-1] - s.iloc[0])
     np.testing.assert_allclose(np.sort(seen), np.sort(true.position_m[-1] - true.position_m[0]), atol=1.5)
     drivers = here.tells("calibrate tracks.parquet")["drivers"]
@@ -148,7 +148,7 @@ def test_a_perception_of_ones_own_type_to_tracks(here: Here) -> None:
     seen = "--odometry /targets --centerline line.csv --bridge radar.yaml"
     told = here.tells(f"convert radar tracks.csv {seen}")
     assert told["vehicles"] == 3
-    rows = sg.read_tracks(here / "tracks.csv").to_frame()
+    rows = sg.read(here / "tracks.csv").to_frame()
     assert set(rows.vehicle.astype(str)) == {"1", "2", "3"}
     true = recordings.drivers(3, 0.0, 20.0, period_s=0.1)
     np.testing.assert_allclose(np.sort(rows.length_m.unique()), np.sort(np.unique(true.length_m)), atol=1e-3)
@@ -159,7 +159,7 @@ def test_a_perception_of_ones_own_type_to_tracks(here: Here) -> None:
 def test_a_data_frame_to_a_comparison_and_a_model_file(tmp_path: Path) -> None:
     table = recordings.table(recordings.drivers(duration_s=90.0))
     measured = sg.read(table, ring_m=45.0)
-    assert (len(measured.vehicle), measured.road.circumference_m) == (4, 45.0)
+    assert (measured.runs, measured.about.ring_m) == (4, 45.0)
     found = sg.calibrate(measured)
     frame = found.to_frame()
     assert np.average(frame.v_star) == pytest.approx(V_STAR, rel=0.05)

@@ -15,7 +15,7 @@ from sugiyama_ros.effects.registry import ROW, active, switch_on
 from sugiyama_ros.filters.causal import filter_chain
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import ADAPT
-from sugiyama_ros.formats.plain_csv import write_csv
+from sugiyama_ros.formats.table import write_csv
 from sugiyama_ros.nodes.base.qos import STREAM
 from sugiyama_ros.nodes.critic import Critic
 from sugiyama_ros.nodes.drivers import DriversNode
@@ -39,7 +39,7 @@ def delayed():
     length, road = np.full(DRIVERS, 4.33), Road(RING_M)
     run = simulate(Simulator(rows, length, evenly(length, road), road, rng, speed=np.full(DRIVERS, 6.0)), 100.0)
     assert not run.collisions
-    return run.measured
+    return run.dense
 
 
 class Ears(Node):

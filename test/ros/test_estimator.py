@@ -19,7 +19,8 @@ from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import OnlineFilter
 from sugiyama_ros.fit.classes import DriverTypes
 from sugiyama_ros.fit.model_file import write_drivers
-from sugiyama_ros.formats.registry import read_trajectories
+from sugiyama_ros.formats.choices import Choices
+from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
@@ -81,7 +82,7 @@ def values(estimator: OneDriver) -> dict[str, object]:
 
 
 def test_the_node_publishes_the_filters_results(stage, ring_csv: Path) -> None:
-    trajectories = read_trajectories(ring_csv, 100.0)
+    trajectories = read_tracks(ring_csv, Choices(ring_m=100.0)).dense()
     chain = chain_behind(trajectories, 2)
     filter_ = OnlineFilter(trajectories.period_s, trajectories.road)
     road, estimator = Node("hand"), OneDriver(2)
@@ -308,7 +309,7 @@ def test_the_filter_starts_from_the_nodes_parameters(stage) -> None:
 
 
 def test_the_type_of_the_driver_is_published(stage, ring_csv: Path, tmp_path: Path) -> None:
-    trajectories, file = read_trajectories(ring_csv, 100.0), tmp_path / "types.yaml"
+    trajectories, file = read_tracks(ring_csv, Choices(ring_m=100.0)).dense(), tmp_path / "types.yaml"
     kinds = np.array([population(), population()])
     kinds[1, NAMES.index("v_star")] *= 1.2
     types = DriverTypes(np.array([0.75, 0.25]), kinds)

@@ -13,8 +13,9 @@ from typer.testing import CliRunner
 
 from sugiyama_ros.cli.app import app
 from sugiyama_ros.errors import InputError, OutputError, SugiyamaError
+from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.mcap_reader import Bag
-from sugiyama_ros.formats.registry import read_trajectories
+from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.formats.truth import read_truth
 from sugiyama_ros.nodes import recorder, source
 from sugiyama_ros.nodes.base.node import PacedNode
@@ -51,7 +52,7 @@ def assert_nothing_lost(result: RunResult, output: Path) -> None:
 def test_the_recorded_positions_equal_the_positions_read(recorded: tuple[Path, RunResult]) -> None:
     source, result = recorded
     assert_nothing_lost(result, result.output)
-    original, back = read_trajectories(source, 100.0), read_trajectories(result.output)
+    original, back = read_tracks(source, Choices(ring_m=100.0)).dense(), read_tracks(result.output).dense()
     assert back.position_m == pytest.approx(original.position_m, abs=1e-9)
     assert (back.leader == original.leader).all()
     assert back.sha256 == original.sha256

@@ -77,7 +77,7 @@ def test_short_commands_load_no_compiled_code(sugiyama, here, arguments):
 def test_bad_csv(sugiyama, here, command):
     (here / "bad.csv").write_text("time_s,vehicle,position_m\n0,1,2\nnan,1,3\n")
     output = ["out.mcap"] if command == "convert" else ["-o", "out.mcap"]
-    one_line(sugiyama(command, "bad.csv", *output), "bad.csv", "3", "time_s")
+    one_line(sugiyama(command, "bad.csv", *output), "bad.csv", "two samples")
     assert sorted(p.name for p in here.iterdir()) == ["bad.csv", "good.csv"]
 
 

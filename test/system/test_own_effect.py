@@ -53,7 +53,7 @@ from sugiyama_ros.filters.causal import log_likelihood
 from sugiyama_ros.filters.extract import chain_behind
 
 def try_with(effects):
-    recording = simulate(3, ring_m=35.0, duration_s=20.0, effects=effects, seed=1).measured
+    recording = simulate(3, ring_m=35.0, duration_s=20.0, effects=effects, seed=1).dense
     row = ROW.with_effects(defaults())
     for name, values in effects.items():
         row = switch_on(row, name, values)

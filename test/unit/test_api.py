@@ -63,9 +63,9 @@ def test_a_data_frame_is_read_like_the_file(simulation, tmp_path):
     simulation.save(tmp_path / "three.csv")
     from_file = sg.read(tmp_path / "three.csv", ring_m=40.0)
     from_frame = sg.read(pd.read_csv(tmp_path / "three.csv"), ring_m=40.0)
-    assert np.array_equal(from_file.position_m, from_frame.position_m)
-    assert np.array_equal(from_file.length_m, from_frame.length_m)
-    assert from_file.period_s == from_frame.period_s
+    assert np.array_equal(from_file.s_m, from_frame.s_m)
+    assert np.array_equal(from_file.leader_row, from_frame.leader_row)
+    assert np.array_equal(from_file.dense().position_m, simulation.dense.position_m)
 
 
 @pytest.mark.parametrize(
@@ -74,7 +74,7 @@ def test_a_data_frame_is_read_like_the_file(simulation, tmp_path):
         (lambda f: f.drop(columns="vehicle"), "no column vehicle"),
         (lambda f: f.assign(vehicle="car"), r"vehicle car is at .* and at .* give the column recording"),
         (lambda f: f.assign(vehicle=-1), r"vehicle -1 is at .* and at "),
-        (lambda f: f.assign(time_s=np.nan), "a time or a vehicle is missing"),
+        (lambda f: f.assign(time_s=np.nan), "no row has a vehicle, a time and a position"),
     ],
 )
 def test_a_bad_data_frame_is_refused_in_one_line(simulation, change, told):

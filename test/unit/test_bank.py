@@ -25,7 +25,7 @@ def judged(effects, base=None, seconds=100.0, speed=6.0):
     simulator = Simulator(rows, length, start, road, np.random.default_rng(4), speed=np.full(DRIVERS, speed))
     run = simulate(simulator, seconds)
     assert not run.collisions
-    t = run.measured
+    t = run.dense
     chains = [chain_behind(t, v) for v in range(DRIVERS)]
     row = ROW.with_effects(population())
     row[KAPPA_V] = 0.3

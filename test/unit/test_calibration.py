@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import minimize
 
 import sugiyama_ros as sg
-from sugiyama_ros.calibration.calibrate import each_driver, in_classes, pooled
+from sugiyama_ros.calibration.calibrate import calibrate_drivers, each_driver
 from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import KAPPA_V, NAMES, SIGMA_A, SIGMA_NU, V_STAR, defaults, index
 from sugiyama_ros.errors import InputError
@@ -21,6 +21,7 @@ from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.fit.standard_errors import end_of_profile
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, evenly, platoon, simulate
+from sugiyama_ros.trajectories.dense import tracks_of
 from sugiyama_ros.workers import workers
 
 PLACES = [SIGMA_NU, SIGMA_A, V_STAR, KAPPA_V]
@@ -31,7 +32,7 @@ def jam():
     """22 cars on the ring, from rest with gaps of 2 m, for 250 s. All drivers have the paper's parameters."""
     length, road = np.full(22, 4.33), Road(230.0)
     rng = np.random.default_rng(4)
-    return simulate(Simulator(defaults(22), length, platoon(length, 2.0), road, rng), 250.0).measured
+    return simulate(Simulator(defaults(22), length, platoon(length, 2.0), road, rng), 250.0).dense
 
 
 @pytest.fixture(scope="module")
@@ -96,8 +97,7 @@ def test_regularisation_is_the_papers(jam, paper_fits):
 
 
 def test_a_population_narrows_what_single_drivers_leave_wide(jam, causal_fits, tmp_path):
-    with ThreadPoolExecutor(2) as work:
-        population = pooled(jam, Settings(), work)
+    population = calibrate_drivers(tracks_of(jam), Settings(is_regularised=True))
     spread = [np.std(c.rows[:, V_STAR]) for c in (population, causal_fits)]
     assert spread[0] < spread[1]
     # all drivers are alike here
@@ -182,14 +182,14 @@ def test_profile_intervals_equal_the_intervals_of_another_search(jam):
 
 def test_the_papers_likelihood_is_searched_from_several_starts():
     """From one start, the search for driver 1 ends 301 nats below another maximum."""
-    trajectories = sg.simulate(22, ring_m=230.0, duration_s=250.0, seed=3, spread=0.3).measured
+    trajectories = sg.simulate(22, ring_m=230.0, duration_s=250.0, seed=3, spread=0.3).dense
     once = [fit.log_likelihood for fit in calibrate(trajectories, "paper")]
-    found = sg.calibrate(trajectories, "paper").to_frame()
+    found = sg.calibrate(tracks_of(trajectories), "paper").to_frame()
     assert (found["log_likelihood"] > np.array(once) - 0.02).all()
     assert found["log_likelihood"][1] > once[1] + 300.0
     assert found["v_star"][1] == pytest.approx(4.76, abs=0.1)
     # what is not estimated does not move
-    alone = sg.calibrate(trajectories, "paper", ["sigma_nu", "v_star"])
+    alone = sg.calibrate(tracks_of(trajectories), "paper", ["sigma_nu", "v_star"])
     assert set(alone.rows[:, KAPPA_V]) == {defaults()[KAPPA_V]}
 
 
@@ -199,9 +199,8 @@ def test_drivers_of_two_kinds_are_divided_into_two_classes(tmp_path):
     rows = defaults(22)
     rows[:, V_STAR], rows[:, SIGMA_A] = np.where(kind, 8.5, 11.5), np.where(kind, 0.44, 0.22)
     length, road = np.full(22, 4.33), Road(400.0)
-    short = simulate(Simulator(rows, length, evenly(length, road), road, np.random.default_rng(3)), 60.0).measured
-    with ThreadPoolExecutor(2) as work:
-        one, two, again = (in_classes(short, Settings("paper", classes=k), work) for k in (1, 2, 2))
+    short = simulate(Simulator(rows, length, evenly(length, road), road, np.random.default_rng(3)), 60.0).dense
+    one, two, again = (calibrate_drivers(tracks_of(short), Settings("paper", classes=k)) for k in (1, 2, 2))
     assert two.classes.bic < one.classes.bic
     assert np.array_equal(two.rows, again.rows)
     assert two.classes.probability.sum(axis=1) == pytest.approx(np.ones(22))
@@ -215,8 +214,5 @@ def test_drivers_of_two_kinds_are_divided_into_two_classes(tmp_path):
     alone = np.array([f.parameters[V_STAR] for f in calibrate(short, "paper")])
     off, off_alone = (np.abs(np.log(v / rows[:, V_STAR])).mean() for v in (two.rows[:, V_STAR], alone))
     assert off < 0.5 * off_alone
-    with (
-        pytest.raises(InputError, match="22 drivers, 30 classes; give --classes 22 at most"),
-        ThreadPoolExecutor(1) as w,
-    ):
-        in_classes(short, Settings("paper", classes=30), w)
+    with pytest.raises(InputError, match="22 drivers, 30 classes; give --classes 22 at most"):
+        calibrate_drivers(tracks_of(short), Settings("paper", classes=30))

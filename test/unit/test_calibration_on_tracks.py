@@ -7,11 +7,11 @@ import pytest
 
 import sugiyama_ros as sg
 from sugiyama_ros.calibration.on_tracks import calibrate_tracks
+from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import V_STAR
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.fit.stretched import LEAST_FOLLOWING_S
+from sugiyama_ros.fit.preparation import LEAST_FOLLOWING_S
 from sugiyama_ros.trajectories.labels import labels_of
-from sugiyama_ros.trajectories.one_lane import tracks_of
 
 
 @pytest.fixture(scope="module")
@@ -21,12 +21,12 @@ def recording():
 
 @pytest.fixture(scope="module")
 def tracks(recording):
-    return tracks_of(recording.measured)
+    return recording.measured
 
 
 def test_drivers_on_a_ring_are_the_same_on_tracks(recording, tracks):
     on_tracks, dense = calibrate_tracks(tracks), sg.calibrate(recording.measured)
-    assert [d.vehicle for d in on_tracks.drivers] == [str(v) for v in recording.measured.vehicle]
+    assert [d.vehicle for d in on_tracks.drivers] == [str(v) for v in recording.dense.vehicle]
     assert on_tracks.settings.estimated == dense.settings.estimated
     for k, driver in enumerate(on_tracks.drivers):
         # the dense calibration knows the drivers ahead from a first pass, which moves v* by a part of its error
@@ -56,7 +56,7 @@ def test_drivers_who_follow_for_a_short_time_are_left_out(tracks):
 
 def test_classes_are_told_apart_by_their_leaders(tracks):
     kind = np.where(np.asarray(tracks.run) % 2 == 0, "truck", "car")
-    found = calibrate_tracks(replace(tracks, vehicle_class=labels_of(kind.tolist())), ["v_star"])
+    found = calibrate_tracks(replace(tracks, vehicle_class=labels_of(kind.tolist())), Settings(estimated=("v_star",)))
     assert [one.shown for one in found.vehicle_classes] == ["car", "truck"]
     # five vehicles on a ring: vehicle 4 follows vehicle 0, and both are trucks
     assert [(one.shown, one.drivers) for one in found.pairs] == [

@@ -43,9 +43,10 @@ def test_after_compiling_nothing_is_left_to_compile(monkeypatch: pytest.MonkeyPa
     sg.compare(recording)
     sg.diagnose(recording)
     row = switch_on(ROW.with_effects(defaults()), "sensor_eccentricity", {"cosine": 0.5, "sine": 0.3})
+    road = recording.dense()
     for parameters in (None, row):
-        online = OnlineFilter(recording.period_s, recording.road, parameters)
-        for position in recording.position_m[:, 1:].tolist():
+        online = OnlineFilter(road.period_s, road.road, parameters)
+        for position in road.position_m[:, 1:].tolist():
             estimate = online.step(position, [1, 2, 3], [4.3, 4.3, 4.3])
         assert np.isfinite(estimate.speed)
     assert compiled() == before

@@ -10,7 +10,7 @@ import pytest
 from pyarrow import compute
 
 from sugiyama_ros import cli
-from sugiyama_ros.formats.registry import read_tracks, read_trajectories
+from sugiyama_ros.formats.registry import read_tracks
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -74,10 +74,10 @@ def test_a_lane_is_cut_out_and_resampled(sugiyama: Run, two_lanes: Path) -> None
     tracks = read_tracks(Path("one.parquet"))
     assert tracks.vehicle.used() == ("veh_1", "veh_3")
     assert (tracks.time_s.min(), tracks.time_s.max()) == (2.0, 10.0)
-    assert read_trajectories(Path("one.parquet")).vehicle.tolist() == [1, 3]
+    assert read_tracks(Path("one.parquet")).dense().vehicle.tolist() == [1, 3]
     # The same lane as a bag.
     assert sugiyama("convert", two_lanes, "one.mcap", *options)[0] == 0
-    assert read_trajectories(Path("one.mcap")).position_m.shape == (81, 2)
+    assert read_tracks(Path("one.mcap")).dense().position_m.shape == (81, 2)
 
 
 def test_classes_and_csv(sugiyama: Run, two_lanes: Path) -> None:
@@ -130,7 +130,7 @@ def test_a_map_of_columns_is_read(sugiyama: Run, two_lanes: Path) -> None:
         (("convert", "two.csv", "two.parquet", "--period", "0"), "period: 0 s cannot be used"),
         (("convert", "two.csv", "two.parquet", "--from", "30"), "no row is left; the times go from 0 to 20 s"),
         (("convert", "two.csv", "two.xlsx"), "two.xlsx: cannot be written as .xlsx"),
-        (("convert", "two.csv", "two.mcap"), "2 lanes (0, 1), but this command takes one"),
+        (("convert", "two.csv", "two.mcap"), "2 lanes (0, 1) where one is needed"),
         (("convert", "two.csv", "none/two.parquet"), "none/two.parquet: cannot be written"),
         (("convert", "two.csv", "two.parquet", "--columns", "none.yaml"), "none.yaml: cannot be read"),
         (("info", "none.parquet"), "none.parquet: cannot be read"),

@@ -8,13 +8,14 @@ import pytest
 from benchmarks.away.drivers import drawn
 from benchmarks.away.world import Setup, record
 from sugiyama_ros.calibration.on_tracks import calibrate_tracks
+from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.diagnosis.base import with_more_decisions
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.fit.driver import calibrate
 from sugiyama_ros.fit.joint import fit_base
-from sugiyama_ros.fit.recording import prepare
+from sugiyama_ros.fit.preparation import prepare
 from sugiyama_ros.fit.smooth_positions import divided, measured
-from sugiyama_ros.trajectories.one_lane import tracks_of
+from sugiyama_ros.trajectories.dense import tracks_of
 
 
 @pytest.fixture(scope="module")
@@ -40,9 +41,9 @@ def _seen(period_s: float, every: int):
 )
 def test_drivers_who_decide_between_two_samples_are_found(period_s, every, is_finer, work):
     recording = _seen(period_s, every)
-    data = prepare(recording)
+    data = prepare(tracks_of(recording))
     base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
-    finer = with_more_decisions(recording, data, base, work)
+    finer = with_more_decisions(tracks_of(recording), data, base, work)
     assert (finer is not None) == is_finer
     if finer is not None:
         again, fitted = finer
@@ -64,7 +65,7 @@ def test_single_drivers_are_calibrated_with_the_decisions_between_their_samples(
     recording = _seen(1.0 / 3.0, 3)
     names = ("sigma_nu", "sigma_a", "v_star", "kappa_v")
     found = [one.parameters[KAPPA_V] for one in calibrate(recording, "causal", names)]
-    on_tracks = calibrate_tracks(tracks_of(recording), names).rows[:, KAPPA_V]
+    on_tracks = calibrate_tracks(tracks_of(recording), Settings(estimated=names)).rows[:, KAPPA_V]
     # true median 0.215; the median of 22 estimates of std 0.028 has a standard error of 0.0075, and three of them are
     # 0.022. With one decision for each sample of 1 s, the median on tracks was 0.37.
     assert np.median(found) == pytest.approx(0.215, abs=0.022)

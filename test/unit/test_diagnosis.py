@@ -20,7 +20,7 @@ from sugiyama_ros.effects.registry import ROW, index_of, switch_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.joint import fit_base
 from sugiyama_ros.fit.model_file import read_model, write_model
-from sugiyama_ros.fit.recording import prepare
+from sugiyama_ros.fit.preparation import prepare
 from sugiyama_ros.laws.registry import RIVALS, number_of
 from sugiyama_ros.page.document import additions, document
 from sugiyama_ros.results import plain
@@ -172,7 +172,7 @@ def test_drivers_of_another_law_are_not_explained():
 def test_a_change_of_preferences_is_found_at_its_time(work):
     """The change lies between two starting points, and is a third as strong as they assume."""
     change = {"v_star_change": -0.035, "kappa_v_change": 0.07, "time": 38.0}
-    data = prepare(recording("preference_switch", 100.0, **change).measured)
+    data = prepare(recording("preference_switch", 100.0, **change).dense)
     base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
     switch = next(c for c in candidates(data) if c.name == "preference_switch")
     best = max(scores(data, base, [switch], work, with_forces=False), key=lambda one: one.gain)
@@ -213,7 +213,7 @@ def test_a_model_file_gives_the_model_back(hidden, tmp_path):
     )
     # who does not have the patch needs no place for it
     rows[np.ix_(rows[:, patch[0]] == 0.0, patch)] = 0.0
-    assert read.rows_of(run.measured.vehicle) == pytest.approx(rows)
+    assert read.rows_of(run.dense.vehicle) == pytest.approx(rows)
     assert yaml.safe_load(path.read_text())["shared_std"]["slow_patch.reduction"] > 0.0
 
 
@@ -247,7 +247,7 @@ def test_bad_classes_in_a_model_file_are_one_clear_line(hidden, tmp_path, classe
 def test_compare_on_the_command_line(hidden, tmp_path):
     run, d = hidden
     d.save(tmp_path / "model.yaml")
-    t = replace(run.measured, position_m=run.measured.position_m[:151])
+    t = replace(run.dense, position_m=run.dense.position_m[:151])
     lines = ["time_s,vehicle,position_m,length_m"]
     lines += [f"{k / 3.0:.6f},{v},{x:.5f},{LENGTH_M}" for k, row in enumerate(t.position_m) for v, x in enumerate(row)]
     (tmp_path / "run.csv").write_text("\n".join(lines) + "\n")

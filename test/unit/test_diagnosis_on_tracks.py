@@ -14,11 +14,11 @@ from sugiyama_ros.diagnosis.table import errors
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model import Model
-from sugiyama_ros.fit.recording import FOLDS, prepare
+from sugiyama_ros.fit.preparation import LEAST_FOLLOWING_S, prepare, prepare_stretches
+from sugiyama_ros.fit.recording import FOLDS
 from sugiyama_ros.fit.score import evaluate
-from sugiyama_ros.fit.stretched import LEAST_FOLLOWING_S, prepare_tracks
 from sugiyama_ros.trajectories.assemble import assemble
-from sugiyama_ros.trajectories.one_lane import tracks_of, whole_road
+from sugiyama_ros.trajectories.dense import whole_road
 
 INDIVIDUAL = (V_STAR, KAPPA_V)
 PERIOD_S = 0.5
@@ -40,7 +40,7 @@ def two_lanes():
     """Two lanes of an open road; the trucks of lane 1 are 12 m long, and one car leaves after 50 s."""
     columns = {name: [] for name in ("vehicle", "time_s", "s_m", "lane", "class", "length_m")}
     for lane in (0, 1):
-        t = sg.simulate(vehicles=4, ring_m=0.0, duration_s=70.0, period_s=PERIOD_S, seed=lane).measured
+        t = sg.simulate(vehicles=4, ring_m=0.0, duration_s=70.0, period_s=PERIOD_S, seed=lane).dense
         for k in range(4):
             is_truck = lane == 1 and k % 2 == 0
             stays = t.time_s < (50.0 if (lane, k) == (0, 0) else np.inf)
@@ -62,7 +62,7 @@ def of_truth(data, run):
 
 
 def test_a_ring_has_the_same_likelihood_as_tracks(ring, work):
-    dense, on_tracks = prepare(ring.measured), prepare_tracks(tracks_of(ring.measured))
+    dense, on_tracks = prepare(ring.measured), prepare_stretches(ring.measured)
     model = of_truth(dense, ring)
     known, found = (evaluate(data, model, work).log_likelihood for data in (dense, on_tracks))
     assert np.array_equal(np.isfinite(known), np.isfinite(found))
@@ -72,7 +72,7 @@ def test_a_ring_has_the_same_likelihood_as_tracks(ring, work):
 def test_single_cars_drive_on_alike_on_a_ring_and_on_tracks(ring, work):
     """The leader is filtered in the follower's chain on tracks, and in the leader's own chain on the ring."""
     found = []
-    for data in (prepare(ring.measured), prepare_tracks(tracks_of(ring.measured))):
+    for data in (prepare(ring.measured), prepare_stretches(ring.measured)):
         model = of_truth(data, ring)
         found.append(forecasts(data, surroundings(data, model, work), [model] * FOLDS, work))
     on_ring, on_tracks = found
@@ -83,15 +83,15 @@ def test_single_cars_drive_on_alike_on_a_ring_and_on_tracks(ring, work):
 
 
 def test_only_a_road_on_which_everybody_is_known_is_a_whole_road(ring, two_lanes):
-    tracks = tracks_of(ring.measured)
-    assert whole_road(tracks).vehicle.tolist() == ring.measured.vehicle.tolist()
+    tracks = ring.measured
+    assert whole_road(tracks).vehicle.tolist() == ring.dense.vehicle.tolist()
     time_s, run = np.asarray(tracks.time_s), np.asarray(tracks.run)
     assert whole_road(tracks.select((run != 3) | (time_s < time_s[0] + 40.0))) is None
     assert whole_road(two_lanes) is None
 
 
 def test_what_tracks_cannot_show_is_not_searched(two_lanes, ring):
-    data = prepare_tracks(two_lanes)
+    data = prepare_stretches(two_lanes)
     missing = not_searched(data)
     assert {"rear_pressure", "preference_switch", "sensor_eccentricity"} <= set(missing)
     assert not set(missing) & {c.name for c in candidates(data)}
@@ -113,7 +113,7 @@ def test_the_commands_work_on_two_lanes(two_lanes, tmp_path, capsys):
 
 
 def test_drivers_need_to_follow_for_long_enough(ring):
-    tracks = tracks_of(ring.measured)
+    tracks = ring.measured
     short = np.asarray(tracks.time_s) < tracks.time_s[0] + LEAST_FOLLOWING_S - 2.0
     with pytest.raises(InputError, match="nobody follows"):
-        prepare_tracks(tracks.select(short))
+        prepare_stretches(tracks.select(short))

@@ -21,7 +21,7 @@ def recorded(rows, seed, seconds=150.0):
     """Measured positions of drivers in a jam."""
     length = np.full(DRIVERS, 4.33)
     simulator = Simulator(rows, length, platoon(length, 2.0), Road(230.0), np.random.default_rng(seed))
-    return simulate(simulator, seconds).measured
+    return simulate(simulator, seconds).dense
 
 
 @pytest.fixture(scope="module")

@@ -149,14 +149,14 @@ def test_at_zero_strength_the_model_is_the_base_model(name):
         weak[:, index_of(name, "covariate")] = 0.0
     base, same = base_recording(), recording(weak)
     assert np.array_equal(base.position_m, same.position_m)
-    assert np.array_equal(base.measured.position_m, same.measured.position_m)
-    chain = chain_behind(base.measured, 3)
+    assert np.array_equal(base.dense.position_m, same.dense.position_m)
+    chain = chain_behind(base.dense, 3)
     plain, with_zero = filter_chain(chain, drivers()[3]), filter_chain(chain, weak[3], ahead=weak[4])
     plain = filter_chain(chain, drivers()[3], ahead=drivers()[4])
     assert np.array_equal(plain.innovation_m, with_zero.innovation_m, equal_nan=True)
     assert np.array_equal(plain.mean, with_zero.mean)
-    _, first = online_steps(base.measured, 3, drivers()[3])
-    _, second = online_steps(base.measured, 3, weak[3])
+    _, first = online_steps(base.dense, 3, drivers()[3])
+    _, second = online_steps(base.dense, 3, weak[3])
     assert [s.speed for s in first] == [s.speed for s in second]
 
 
@@ -166,8 +166,8 @@ def test_an_effect_acts_and_leaves_the_noise_alone(name):
     if name in SEEN:
         assert not np.array_equal(base.position_m, changed.position_m)
     else:
-        assert not np.array_equal(base.measured.position_m, changed.measured.position_m)
-    noise = [r.measured.road.difference(r.measured.position_m, r.position_m) for r in (base, changed)]
+        assert not np.array_equal(base.dense.position_m, changed.dense.position_m)
+    noise = [r.dense.road.difference(r.dense.position_m, r.position_m) for r in (base, changed)]
     if effect(name).stage != "measurement" or name in SEEN:
         assert noise[0] == pytest.approx(noise[1], abs=1e-9)
 
@@ -176,7 +176,7 @@ def test_an_effect_acts_and_leaves_the_noise_alone(name):
 @pytest.mark.parametrize("name", [n for n in NAMES_OF_EFFECTS if not effect(n).looks_back])
 def test_the_online_filter_is_the_batch_filter(name):
     row = switch_on(ROW.with_effects(drivers()[0]), name, ACTING[name])
-    t = acting_recording(name).measured
+    t = acting_recording(name).dense
     online, steps = online_steps(t, 2, row)
     ahead = online.kalman.model.rows[1]
     chain = chain_behind(t, 2)
@@ -206,7 +206,7 @@ def test_without_noise_the_filter_follows_the_simulator(name):
     quiet = drivers()
     quiet[:, [SIGMA_NU, 1, 10, 11]] = 1e-4
     rows = switch_on(ROW.with_effects(quiet), name, ACTING[name])
-    t = recording(rows, duration_s=60.0).measured
+    t = recording(rows, duration_s=60.0).dense
     with_effect, without = (
         [filter_chain(chain_behind(t, i), r, ahead=r).innovation_m[20:] for i in range(0, DRIVERS, 2)]
         for r in (rows[0], ROW.with_effects(quiet)[0])
@@ -296,7 +296,7 @@ def test_any_set_of_effects_combines():
         rows = switch_on(rows, name, gentle)
     assert set(active(rows)) == set(all_at_once)
     # in this recording no sample is so far off that the online filter refuses it, which the batch filter never does
-    t = recording(rows, seed=1, duration_s=40.0).measured
+    t = recording(rows, seed=1, duration_s=40.0).dense
     assert np.isfinite(t.position_m).all()
     online, steps = online_steps(t, 1, rows[1])
     batch = filter_chain(chain_behind(t, 1), rows[1], ADAPT, online.kalman.model.rows[1])
@@ -307,7 +307,7 @@ def test_any_set_of_effects_combines():
 @pytest.mark.parametrize("name", ["drag", "actuation_lag", "outlier_noise"])
 def test_noises_are_learnt_beside_an_effect(name):
     rows = switch_on(ROW.with_effects(drivers()), name, ACTING[name])
-    t = recording(rows, duration_s=60.0).measured
+    t = recording(rows, duration_s=60.0).dense
     chain, online = chain_behind(t, 1), OnlineFilter(t.period_s, t.road, rows[1])
     for k in range(len(chain.position_m)):
         online.step(chain.position_m[k], chain.identity[k], chain.length_m[k], k * t.period_s, NOBODY)
@@ -318,7 +318,7 @@ def test_noises_are_learnt_beside_an_effect(name):
 
 
 def test_an_effect_added_in_mid_run_keeps_what_was_learnt():
-    t = acting_recording("drag").measured
+    t = acting_recording("drag").dense
     chain = chain_behind(t, 0)
     online = OnlineFilter(t.period_s, t.road, drivers()[0])
     for k in range(60):

@@ -27,10 +27,10 @@ from sugiyama_ros.formats.mcap_reader import METADATA, Bag, bag_files
 from sugiyama_ros.formats.mcap_writer import FolderWriter, Qos
 from sugiyama_ros.formats.measured import MEASURED_TYPE, messages
 from sugiyama_ros.formats.recover import recover
-from sugiyama_ros.formats.registry import tracks_of
 from sugiyama_ros.formats.tracks_parquet import write_tracks
 from sugiyama_ros.nodes.keeper import Kept, write_learnt
 from sugiyama_ros.road import Road
+from sugiyama_ros.trajectories.dense import tracks_of
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 OLD = b"old, and whole"

@@ -48,9 +48,9 @@ def jam():
 
 @pytest.fixture(scope="module")
 def with_holes(jam):
-    position = jam.measured.position_m.copy()
+    position = jam.dense.position_m.copy()
     position[np.random.default_rng(5).random(position.shape) < 0.1] = np.nan
-    m = jam.measured
+    m = jam.dense
     return Trajectories(position, m.length_m, m.vehicle, m.road, m.period_s)
 
 
@@ -88,7 +88,7 @@ def dense_posterior(z, phi, controls, q, start_mean, start_cov, noise_var):
 
 
 def test_the_papers_filter_is_the_dense_posterior(jam):
-    perceived = paper.perceive(jam.measured, 3)
+    perceived = paper.perceive(jam.dense, 3)
     kept = 40
     p = population()
     z = perceived.measured_m[:kept]
@@ -125,8 +125,8 @@ def test_the_papers_filter_is_the_dense_posterior(jam):
 
 def test_the_causal_filter_is_the_dense_posterior_where_the_model_is_linear(jam):
     """A chain of one vehicle has no mean action: its state is position, speed and an AR(1) acceleration."""
-    chain = chain_behind(jam.measured, 2, vehicles=1)
-    z = jam.measured.road.unwrap(chain.position_m)[:40, 0]
+    chain = chain_behind(jam.dense, 2, vehicles=1)
+    z = jam.dense.road.unwrap(chain.position_m)[:40, 0]
     p = defaults()
     filtered = filter_chain(chain, p)
     noise_var = p[SIGMA_NU] ** 2
@@ -172,8 +172,8 @@ def test_the_online_filter_is_the_compiled_one(with_holes, driver, adaptation):
 
 
 def test_the_online_filter_starts_anew_after_a_reset(jam):
-    chain = chain_behind(jam.measured, 0)
-    online = OnlineFilter(chain.period_s, jam.measured.road)
+    chain = chain_behind(jam.dense, 0)
+    online = OnlineFilter(chain.period_s, jam.dense.road)
     samples = list(zip(chain.position_m, chain.identity, chain.length_m, strict=True))[:60]
     first = [online.step(*s).innovation_m for s in samples]
     online.reset()
@@ -194,7 +194,7 @@ def test_a_missing_sample_is_predicted_over_and_not_scored(with_holes):
 
 
 def test_nothing_depends_on_where_the_ring_begins(jam):
-    m = jam.measured
+    m = jam.dense
     shifted = Trajectories(m.road.wrap(m.position_m + 100.0), m.length_m, m.vehicle, m.road, m.period_s)
     for driver in (0, 11):
         values = [log_likelihood(chain_behind(t, driver), defaults()) for t in (m, shifted)]
@@ -204,7 +204,7 @@ def test_nothing_depends_on_where_the_ring_begins(jam):
 
 
 def test_nothing_depends_on_the_vehicles_names(jam):
-    m = jam.measured
+    m = jam.dense
     order = np.random.default_rng(0).permutation(22)
     renamed = Trajectories(m.position_m[:, order], m.length_m[order], np.arange(22) + 100, m.road, m.period_s)
     new = int(np.flatnonzero(order == 5)[0])
@@ -217,7 +217,7 @@ def test_innovations_are_white_and_of_unit_variance_on_the_models_own_data(jam):
     """NIS over 22 x 294 samples. The mean over n samples has a std of sqrt(2 / n); five of these are allowed."""
     nis, lag_one = [], []
     for driver in range(22):
-        filtered = filter_chain(chain_behind(jam.measured, driver), defaults(), ahead=defaults())
+        filtered = filter_chain(chain_behind(jam.dense, driver), defaults(), ahead=defaults())
         y = (filtered.innovation_m / np.sqrt(filtered.innovation_var))[filtered.scored]
         nis.append(y**2)
         lag_one.append(np.mean(y[1:] * y[:-1]))
@@ -228,7 +228,7 @@ def test_innovations_are_white_and_of_unit_variance_on_the_models_own_data(jam):
 
 def test_the_causal_likelihood_is_smooth(jam):
     """With a linearisation at a point it is not smooth: a change of 1e-10 in a parameter moves it by units."""
-    chain = chain_behind(jam.measured, 7)
+    chain = chain_behind(jam.dense, 7)
     p = defaults()
     value = log_likelihood(chain, p)
     for k in (SIGMA_A, V_STAR):
@@ -242,13 +242,13 @@ def test_a_filter_that_begins_with_an_outlier_finds_the_vehicle(jam, wrong, off_
     """It must not take all that follows for outliers, as it once did until the end: after 20 samples
     it knows the speed as well as a filter that takes in everything.
     """
-    position = jam.measured.position_m[:60]
+    position = jam.dense.position_m[:60]
     plain = ROW.with_effects(defaults())
     row = switch_on(plain, "outlier_noise", {"share": 0.006, "factor": 4.0})
     for driver in range(position.shape[1]):
         spoiled = position.copy()
         spoiled[wrong, driver] += off_m
-        chain = chain_behind(replace(jam.measured, position_m=spoiled), driver)
+        chain = chain_behind(replace(jam.dense, position_m=spoiled), driver)
         filtered, other = filter_chain(chain, row), filter_chain(chain, plain)
         assert filtered.mean[20, 1] == pytest.approx(other.mean[20, 1], abs=filtered.covariance[20, 1, 1] ** 0.5)
 
@@ -267,7 +267,7 @@ def test_a_new_leader_starts_from_nothing():
 
 
 def test_the_papers_gradient_is_the_slope(jam):
-    perceived = paper.perceive(jam.measured, 9)
+    perceived = paper.perceive(jam.dense, 9)
     p = population()
     value, gradient = paper.log_likelihood(perceived, p)
     assert np.isfinite(value)
@@ -308,7 +308,7 @@ def test_chains_of_unequal_length_run_side_by_side_with_the_results_of_each_alon
     rows = switch_on(ROW.with_effects(population()), "preference_switch", {"v_star_change": -0.3, "time": 40.0})
     jobs = []
     for i, (first, last) in enumerate(((0, 120), (50, 300), (10, 290), (200, 260), (0, 300))):
-        whole = chain_behind(jam.measured, i)
+        whole = chain_behind(jam.dense, i)
         names = ("position_m", "identity", "length_m", "rear")
         cut = {name: getattr(whole, name)[first:last].copy() for name in names}
         cut["identity"][150:, 0] = -1 if i == 2 else cut["identity"][150:, 0]
@@ -329,7 +329,7 @@ def test_chains_of_unequal_length_run_side_by_side_with_the_results_of_each_alon
 def test_single_precision_in_screens_changes_no_drivers_likelihood_by_1e_3_nats(scene):
     """Rounding errors of 6e-8 in utilities, of which the rationality of 200 makes 1e-5 in the weights of actions."""
     case = next(case for case in cases("conditions") if case.name == scene)
-    recording = recorded(case, "strong", 41).first
+    recording = recorded(case, "strong", 41).first.dense()
     jobs = [ChainJob(chain_behind(recording, i), population()) for i in range(5)]
     exact, rough = predict_samples(jobs), predict_samples([job._replace(is_rough=True) for job in jobs])
     off = [np.nansum(a.log_likelihood) - np.nansum(b.log_likelihood) for a, b in zip(exact, rough, strict=True)]

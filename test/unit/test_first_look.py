@@ -19,7 +19,7 @@ PERIOD_S = 0.1
 
 @pytest.fixture(scope="module")
 def smooth():
-    return sg.simulate(vehicles=6, ring_m=68.0, duration_s=90.0, period_s=PERIOD_S, seed=3, parameters=SMOOTH).measured
+    return sg.simulate(vehicles=6, ring_m=68.0, duration_s=90.0, period_s=PERIOD_S, seed=3, parameters=SMOOTH).dense
 
 
 def steps_of(t, driver, vehicles=3):
@@ -48,7 +48,7 @@ def test_the_filter_knows_its_errors_on_smooth_positions(smooth):
 
 
 def test_a_camera_is_followed_as_before():
-    camera = sg.simulate(vehicles=4, ring_m=45.0, duration_s=60.0, seed=1).measured
+    camera = sg.simulate(vehicles=4, ring_m=45.0, duration_s=60.0, seed=1).dense
     looking, blind = OnlineFilter(camera.period_s, camera.road), OnlineFilter(camera.period_s, camera.road)
     blind._look = None
     for s in steps_of(camera, 1):

@@ -10,7 +10,7 @@ from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, d
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.joint import fit, fit_base, rise, start_model
-from sugiyama_ros.fit.recording import prepare
+from sugiyama_ros.fit.preparation import prepare
 from sugiyama_ros.fit.sandwich import own_stds
 from sugiyama_ros.fit.score import evaluate
 from sugiyama_ros.fit.slopes import slopes

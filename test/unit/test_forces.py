@@ -13,8 +13,9 @@ from sugiyama_ros.diagnosis.refine import refined
 from sugiyama_ros.diagnosis.score import scores
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.fit.joint import fit_base
-from sugiyama_ros.fit.recording import prepare
+from sugiyama_ros.fit.preparation import prepare
 from sugiyama_ros.fit.score import filtered_states
+from sugiyama_ros.trajectories.dense import tracks_of
 
 CARS = 10
 SCENE = Setup(drivers=CARS, ring_m=105.0, duration_s=150.0)
@@ -24,7 +25,7 @@ def fitted(work, push=None):
     """A fit of the base model to drivers whom something pushes."""
     rng = np.random.default_rng(8)
     hidden = [Hidden(push=push)] if push else []
-    data = prepare(record(SCENE, drawn(CARS, rng), hidden, rng))
+    data = prepare(tracks_of(record(SCENE, drawn(CARS, rng), hidden, rng)))
     return data, fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
 
 

@@ -11,7 +11,8 @@ from sugiyama_ros.diagnosis.table import errors, gains
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import start_model
-from sugiyama_ros.fit.recording import FOLDS, prepare
+from sugiyama_ros.fit.preparation import prepare
+from sugiyama_ros.fit.recording import FOLDS
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
 

@@ -19,7 +19,7 @@ from sugiyama_ros.formats.mcap_records import MAGIC
 from sugiyama_ros.formats.mcap_writer import BagWriter
 from sugiyama_ros.formats.measured import MEASURED_TYPE, ROAD_TYPE
 from sugiyama_ros.formats.recover import recover
-from sugiyama_ros.formats.registry import read_trajectories
+from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.page.recording import read_recording
 
 SIZE = 4 << 20
@@ -103,7 +103,7 @@ def test_a_vehicle_below_0_is_refused_and_nothing_is_left(tmp_path: Path) -> Non
     with pytest.raises(InputError, match="not within 0 to 2147483647"):
         convert(path, tmp_path / "b.mcap")
     assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
-    assert read_trajectories(bag_with(tmp_path / "c.mcap", [3, 4])).vehicle.tolist() == [3, 4]
+    assert read_tracks(bag_with(tmp_path / "c.mcap", [3, 4])).dense().vehicle.tolist() == [3, 4]
 
 
 @pytest.mark.parametrize("type_name", ["std_msgs/msg/Header", "sugiyama_msgs/msg/VehicleState"])
@@ -119,11 +119,3 @@ def test_topics_of_others_that_end_alike_are_left_out_of_a_report(tmp_path: Path
     recording = read_recording(tmp_path / "b.mcap")
     assert not recording.has_estimates
     assert recording.trajectories.vehicle.tolist() == [0, 1]
-
-
-def test_two_samples_at_one_time_are_refused_with_the_line(tmp_path: Path) -> None:
-    path = tmp_path / "a.csv"
-    times = [0.0, 0.5, 1.0, 1.0000002, 1.5, 2.0, 2.5, 3.0]
-    path.write_text("time_s,vehicle,position_m\n" + "".join(f"{t},7,{t}\n" for t in times))
-    with pytest.raises(InputError, match=r"a\.csv:5: vehicle 7 has samples at 1 s and 1\.0000002 s"):
-        read_trajectories(path, 0.0)

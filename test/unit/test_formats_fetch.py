@@ -13,7 +13,7 @@ import pytest
 
 from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.formats import fetch
-from sugiyama_ros.formats.registry import read_trajectories
+from sugiyama_ros.formats.registry import read_tracks
 
 DATA = b"# circuit length is 100m.\n1.0 0.0\n2.0 0.5\n3.0 1.0\n\n50.0 0.0\n51.0 0.5\n52.0 1.0\n"
 
@@ -91,7 +91,7 @@ def test_fetch(server: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.Mon
     assert sorted(p.name for p in tmp_path.iterdir()) == ["new"]
     assert done.data.read_bytes() == DATA
     assert told[-1] == (len(content), len(content))
-    trajectories = read_trajectories(done.bag)
+    trajectories = read_tracks(done.bag).dense()
     assert trajectories.position_m.tolist() == [[1.0, 50.0], [2.0, 51.0], [3.0, 52.0]]
     assert trajectories.sha256 == hashlib.sha256(DATA).hexdigest()
 

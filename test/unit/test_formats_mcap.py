@@ -21,13 +21,14 @@ from mcap.writer import CompressionType, Writer
 
 from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.formats.cdr import Encoder
+from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.convert import write_trajectories
 from sugiyama_ros.formats.definitions import full_text
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.mcap_records import MAGIC, RecordFile, Segment, merged
 from sugiyama_ros.formats.mcap_writer import BagWriter
 from sugiyama_ros.formats.recover import recover
-from sugiyama_ros.formats.registry import read_trajectories
+from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
@@ -64,7 +65,7 @@ def ring(steps: int = 20) -> Trajectories:
     return Trajectories(position, np.array([3.0, 4.0, 5.0]), np.array([4, 5, 6]), Road(100.0), 0.25, 1.5, "model", "ab")
 
 
-def refused(path: Path, act: Callable[[Path], object] = read_trajectories) -> str:
+def refused(path: Path, act: Callable[[Path], object] = read_tracks) -> str:
     with pytest.raises(InputError) as caught:
         act(path)
     text = str(caught.value)
@@ -169,10 +170,12 @@ def test_trajectories_come_back_from_any_namespace(tmp_path: Path) -> None:
     given = ring()
     write_trajectories(given, tmp_path / "a.mcap")
     renamed(tmp_path / "a.mcap", tmp_path / "b.mcap", lambda topic: "/experiment" + topic)
-    back = read_trajectories(tmp_path / "b.mcap", 100.0)
+    back = read_tracks(tmp_path / "b.mcap", Choices(ring_m=100.0)).dense()
     np.testing.assert_array_equal(back.position_m, given.position_m)
     assert (back.period_s, back.start_s, back.source, back.sha256) == (0.25, 1.5, "model", "ab")
-    assert "says a ring of 100 m" in refused(tmp_path / "b.mcap", lambda path: read_trajectories(path, 99.0))
+    assert "says a ring of 100 m" in refused(
+        tmp_path / "b.mcap", lambda path: read_tracks(path, Choices(ring_m=99.0)).dense()
+    )
 
 
 def renamed(path: Path, out: Path, name: Callable[[str], str], times: int = 1) -> None:
@@ -214,7 +217,7 @@ def test_bags_of_the_older_definition(tmp_path: Path) -> None:
                 numbers[channel.topic] = writer.register_channel(channel.topic, "cdr", of)
             writer.add_message(numbers[channel.topic], message.log_time, data, message.publish_time)
         writer.finish()
-    new, old = (read_trajectories(tmp_path / f"{name}.mcap") for name in "ab")
+    new, old = (read_tracks(tmp_path / f"{name}.mcap").dense() for name in "ab")
     assert np.array_equal(old.position_m, new.position_m)
     assert np.array_equal(old.length_m, new.length_m)
 
@@ -347,7 +350,7 @@ def test_hostile_files_take_bounded_memory(tmp_path: Path) -> None:
         import resource, sys
         from pathlib import Path
         from sugiyama_ros.errors import InputError
-        from sugiyama_ros.formats import read_trajectories
+        from sugiyama_ros.formats import read_tracks
         from sugiyama_ros.formats.mcap_reader import Bag
         from sugiyama_ros.formats.recover import recover
         def everything(path):
@@ -357,7 +360,7 @@ def test_hostile_files_take_bounded_memory(tmp_path: Path) -> None:
         before = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (before + (512 << 20),) * 2)
         for path in sorted(Path().glob("*.mcap")):
-            for act in (everything, read_trajectories, lambda p: recover(p, Path("out"))):
+            for act in (everything, read_tracks, lambda p: recover(p, Path("out"))):
                 try:
                     act(path)
                 except InputError:

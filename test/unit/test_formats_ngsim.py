@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.registry import format_of, read_tracks, read_trajectories
+from sugiyama_ros.formats.registry import format_of, read_tracks
 
 HEADER = (
     "Vehicle_ID,Frame_ID,Total_Frames,Global_Time,Local_X,Local_Y,Global_X,Global_Y,v_length,v_Width,v_Class,v_Vel,"
@@ -53,7 +53,7 @@ def test_text(tmp_path: Path) -> None:
     np.testing.assert_allclose(tracks.time_s[:3], [0.0, 0.1, 0.2])
     assert tracks.leader.values()[::80].tolist() == [None, "1", "2"]
     assert "the next vehicle ahead is the given leader in 100 %" in tracks.about.notes
-    assert read_trajectories(path).vehicle.tolist() == [1, 2, 3]
+    assert read_tracks(path).dense().vehicle.tolist() == [1, 2, 3]
 
 
 def test_csv_with_several_places_and_periods(tmp_path: Path) -> None:
@@ -65,7 +65,7 @@ def test_csv_with_several_places_and_periods(tmp_path: Path) -> None:
     assert tracks.time_s.max() == pytest.approx(7.9)
     assert tracks.leader.values()[::80].tolist() == [None, "1", "2"] * 3
     with pytest.raises(InputError, match=r"3 recordings .* one.parquet --recording 'i-80 period 1'$"):
-        read_trajectories(path)
+        read_tracks(path).dense()
 
 
 def test_high_sim_is_read_alike(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.registry import format_of, read_tracks, read_trajectories
+from sugiyama_ros.formats.registry import format_of, read_tracks
 from sugiyama_ros.trajectories.leaders import gaps
 from sugiyama_ros.trajectories.tracks import UNKNOWN
 
@@ -59,7 +59,7 @@ def test_positions_lie_along_the_common_path(tmp_path: Path, degrees: bool) -> N
     np.testing.assert_allclose(np.diff(tracks.s_m[:600]), 1.2, atol=0.05)
     np.testing.assert_allclose(gaps(tracks)[600:], 25.0 - LENGTH_M, atol=0.03)
     np.testing.assert_allclose(tracks.length_m, LENGTH_M, atol=0.03)
-    assert read_trajectories(path).vehicle.tolist() == [1, 2, 3]
+    assert read_tracks(path).dense().vehicle.tolist() == [1, 2, 3]
 
 
 def test_who_drives_behind_a_car_that_was_not_recorded_has_an_unknown_leader(tmp_path: Path) -> None:
@@ -68,7 +68,7 @@ def test_who_drives_behind_a_car_that_was_not_recorded_has_an_unknown_leader(tmp
     tracks = read_tracks(path)
     assert (tracks.leader_row[1200:] == UNKNOWN).all()
     with pytest.raises(InputError, match=r"vehicle ahead of 4 was not always recorded.* --without 4$"):
-        read_trajectories(path)
+        read_tracks(path).dense()
 
 
 def test_damaged_files_are_refused(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.registry import format_of, read_tracks, read_trajectories
+from sugiyama_ros.formats.registry import format_of, read_tracks
 from sugiyama_ros.trajectories.leaders import gaps
 from sugiyama_ros.trajectories.stretches import stretches
 
@@ -39,7 +39,7 @@ def test_fhwa(tmp_path: Path) -> None:
     np.testing.assert_allclose(tracks.length_m, 5.0)
     np.testing.assert_allclose(gaps(tracks)[90:], 20.0)
     assert tracks.leaders_known == 0.5
-    assert read_trajectories(path).vehicle.tolist() == [1, 2]
+    assert read_tracks(path).dense().vehicle.tolist() == [1, 2]
 
 
 def test_pairs_that_share_a_vehicle_make_a_platoon(tmp_path: Path) -> None:
@@ -85,7 +85,7 @@ def test_platoon(tmp_path: Path) -> None:
     assert tracks.vehicle.used() == ("100", "101")
     assert tracks.time_s[0] == pytest.approx(3199.3)
     np.testing.assert_allclose(gaps(tracks)[80:], 7.0)
-    assert read_trajectories(path).vehicle.tolist() == [100, 101]
+    assert read_tracks(path).dense().vehicle.tolist() == [100, 101]
     path.write_text("\n".join([*rows[:9], "1\t2\t3", *rows[9:]]) + "\n")
     with pytest.raises(InputError, match=r"dataVehicle101.txt:10: 3 fields, but 6 columns"):
         read_tracks(path)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.registry import format_of, read_tracks, read_trajectories
+from sugiyama_ros.formats.registry import format_of, read_tracks
 from sugiyama_ros.trajectories.leaders import gaps
 
 EDGE_M, JUNCTION_M, SPEED, PERIOD = 100.0, 6.0, 10.0, 0.5
@@ -122,7 +122,7 @@ def test_edges_that_close_make_a_ring(tmp_path: Path) -> None:
     tracks = read_tracks(path)
     assert tracks.about.ring_m == pytest.approx(150.0)
     assert tracks.leader.values()[tracks.start[:-1]].tolist() == ["c", "a", "b"]
-    assert read_trajectories(path).road.circumference_m == pytest.approx(150.0)
+    assert read_tracks(path).dense().road.circumference_m == pytest.approx(150.0)
 
 
 def test_roads_that_part_are_roads_of_their_own(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from pyarrow import parquet
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices, read_choices
-from sugiyama_ros.formats.registry import format_of, read_tracks, read_trajectories
+from sugiyama_ros.formats.registry import format_of, read_tracks
 from sugiyama_ros.formats.tracks_parquet import write_tracks
 from sugiyama_ros.trajectories.exchange import KEY
 from sugiyama_ros.trajectories.time_base import is_regular, period_of
@@ -36,7 +36,7 @@ def table(cells: Cells = plain, separator: str = ",", vehicles: int = 3, header:
 
 def both(path: Path, content: str) -> tuple[Tracks, Trajectories]:
     path.write_text(content)
-    return read_tracks(path), read_trajectories(path)
+    return read_tracks(path), read_tracks(path).dense()
 
 
 def refused(act: Callable[[Path], object], path: Path, content: str) -> str:
@@ -85,23 +85,23 @@ def test_what_users_write_is_accepted(tmp_path: Path, cells: Cells, separator: s
 )
 def test_irregular_times_are_resampled(tmp_path: Path, cells: Cells) -> None:
     path = tmp_path / "a.csv"
-    assert "sugiyama convert FILE even.parquet --period SECONDS" in refused(read_trajectories, path, table(cells))
+    path.write_text(table(cells))
     tracks = read_tracks(path)
     assert is_regular(tracks)
     assert period_of(tracks) == 0.1
     assert tracks.leaders_known > 0.66
     write_tracks(tracks, tmp_path / "even.parquet")
-    assert len(read_trajectories(tmp_path / "even.parquet").vehicle) == 3
+    assert len(read_tracks(tmp_path / "even.parquet").dense().vehicle) == 3
 
 
 def test_overlaid_pairs_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     same = table(lambda k, i, t, s: (f"{t:.1f}", k % 2, f"{s + 50 * k:.3f}", 4.5), vehicles=6)
-    assert "a.csv:402: vehicle 0: time goes backward" in refused(read_trajectories, path, same)
     assert "vehicle 0 is at 120 m and at 180 m at 0 s" in refused(read_tracks, path, same)
     crossing = table(lambda k, i, t, s: (f"{t:.1f}", k, f"{s + 3 * t * (k // 2 % 2):.3f}", 4.5), vehicles=8)
-    assert "give the column lane or recording" in refused(read_trajectories, path, crossing)
-    assert "give the column lane or recording, or the unit (--columns)" in refused(read_tracks, path, crossing)
+    path.write_text(crossing)
+    (note,) = [note for note in read_tracks(path).about.notes if "of the gaps are below zero" in note]
+    assert "give the column lane or recording, or the unit (--columns)" in note
     apart = table(
         lambda k, i, t, s: (f"{t:.1f}", k, f"{s + 3 * t * (k // 2 % 2):.3f}", 4.5, k // 2),
         vehicles=8,
@@ -115,7 +115,7 @@ def test_overlaid_pairs_are_refused(tmp_path: Path) -> None:
     ("content", "said"),
     [
         ("a,b\n1,2\n", "a.csv:1: no column vehicle or vehicle_id, time_s, s_m or position_m; the columns are a, b"),
-        (table().replace("19.9,2,", "19.9,veh_2,extra,"), "a.csv:601: 5 fields, the header has 4"),
+        (table().replace("19.9,2,", "19.9,veh_2,extra,"), "a.csv:601: 5 fields, but 4 columns"),
         (table(separator=";").replace("19.9;2;", "19.9;2;far;"), "a.csv:601: 5 fields, but 4 columns"),
         (
             table(separator=";").replace("0.3;1;43.000", "0.3;1;far"),
@@ -135,7 +135,7 @@ def test_bad_tables(tmp_path: Path, content: str, said: str) -> None:
         path.write_text(content)
         assert read_tracks(path).about.dropped == (("no position", 1),)
         return
-    assert said in refused(read_trajectories, path, content)
+    assert said in refused(lambda one: read_tracks(one).dense(), path, content)
 
 
 def test_a_map_of_columns(tmp_path: Path) -> None:
@@ -225,8 +225,8 @@ def test_every_file_of_a_folder_is_a_recording(tmp_path: Path) -> None:
     assert tracks.recording.used() == ("one", "two")
     assert tracks.runs == 5
     assert "files of no known format were left out: notes.txt" in tracks.about.notes
-    with pytest.raises(InputError, match=r"2 recordings \(one, two\), but this command takes one"):
-        read_trajectories(folder)
+    with pytest.raises(InputError, match=r"2 recordings \(one, two\)"):
+        read_tracks(folder).dense()
     (folder / "three.csv").write_text("a,b\n")
     with pytest.raises(InputError, match=r"three.csv:1: no column"):
         read_tracks(folder)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.registry import format_of, read_tracks, read_trajectories
+from sugiyama_ros.formats.registry import format_of, read_tracks
 from sugiyama_ros.trajectories.leaders import gaps
 
 TGSIM = (
@@ -34,7 +34,7 @@ def test_tgsim(tmp_path: Path) -> None:
     assert tracks.leader.values()[::60].tolist() == ["2", None, None] * 2
     assert (np.diff(tracks.s_m)[np.diff(tracks.run) == 0] > 0.0).all()
     with pytest.raises(InputError, match=r"2 recordings \(1, 2\)"):
-        read_trajectories(path)
+        read_tracks(path).dense()
 
 
 def test_ared_is_on_its_ring(tmp_path: Path) -> None:
@@ -49,7 +49,7 @@ def test_ared_is_on_its_ring(tmp_path: Path) -> None:
     assert tracks.about.ring_m == 260.0
     assert tracks.leader.values()[::240].tolist() == ["3", "0", "1", "2"]
     np.testing.assert_allclose(gaps(tracks)[240:], 55.5, atol=2e-3)
-    dense = read_trajectories(path)
+    dense = read_tracks(path).dense()
     assert dense.road.circumference_m == 260.0
     assert dense.period_s == 0.1
 

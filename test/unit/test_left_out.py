@@ -8,20 +8,19 @@ import pytest
 
 from benchmarks.speed.timing import jam
 from sugiyama_ros.diagnosis.diagnose import diagnose
-from sugiyama_ros.fit import stretched
 from sugiyama_ros.fit.joint import start_model
-from sugiyama_ros.fit.recording import MOST_SAMPLES, prepare, some_drivers, within
+from sugiyama_ros.fit.preparation import prepare, prepare_stretches, within
+from sugiyama_ros.fit.recording import MOST_SAMPLES, some_drivers
 from sugiyama_ros.fit.score import evaluate
-from sugiyama_ros.fit.stretched import prepare_tracks, prepared
 from sugiyama_ros.page.document import document
-from sugiyama_ros.trajectories.one_lane import tracks_of
+from sugiyama_ros.trajectories.dense import tracks_of
 
 CARS = 18
 
 
 @pytest.fixture(scope="module")
 def recording():
-    return jam(CARS, 60.0)
+    return tracks_of(jam(CARS, 60.0))
 
 
 @pytest.mark.parametrize("most", [None, 1, 100, 2_000, 2_001, MOST_SAMPLES])
@@ -54,23 +53,23 @@ def test_the_chosen_drivers_are_predicted_as_among_all(recording):
 
 
 def test_the_same_drivers_with_more_decisions(recording):
-    sparse = replace(recording, position_m=recording.position_m[::3], period_s=3 * recording.period_s)
-    most = CARS * len(sparse.position_m) // 2
-    usual, finer = prepared(sparse, most=most), prepared(sparse, 4, most)
+    road = recording.dense()
+    road = replace(road, position_m=road.position_m[::3], period_s=3 * road.period_s)
+    sparse, most = tracks_of(road), CARS * len(road.position_m) // 2
+    usual, finer = prepare(sparse, most=most), prepare(sparse, 4, most)
     assert 1 < usual.drivers < CARS
     assert usual.vicinity.names == finer.vicinity.names
 
 
 def test_some_drivers_of_tracks(recording):
-    tracks = tracks_of(recording)
-    everybody = prepare_tracks(tracks)
-    chosen = prepare_tracks(tracks, most=everybody.drivers * everybody.samples // 2)
+    everybody = prepare_stretches(recording)
+    chosen = prepare_stretches(recording, most=everybody.drivers * everybody.samples // 2)
     assert chosen.drivers + chosen.left_out == everybody.drivers
     assert set(chosen.vicinity.names) < set(everybody.vicinity.names)
 
 
 def test_the_verdict_says_how_many_drivers_it_is_about(recording, monkeypatch):
-    monkeypatch.setattr(stretched.prepared, "__defaults__", (None, CARS * len(recording.position_m) // 6))
+    monkeypatch.setattr(prepare, "__defaults__", (None, len(recording) // 6))
     found = document(diagnose(recording, most=1, simulations=1, workers=2))
     assert found["drivers_left_out"] == CARS - found["vehicles"] == 15
     assert len(found["drivers"]) == 3

@@ -9,7 +9,8 @@ from benchmarks.away.drivers import drawn
 from benchmarks.away.world import Setup, record
 from sugiyama_ros.diagnosis.base import base_model
 from sugiyama_ros.driver.parameters import SIGMA_A, SIGMA_V, SIGMA_X
-from sugiyama_ros.fit.stretched import prepared
+from sugiyama_ros.fit.preparation import prepare
+from sugiyama_ros.trajectories.dense import tracks_of
 
 
 def _driven(noise: float):
@@ -17,7 +18,7 @@ def _driven(noise: float):
     scene, rng = Setup(noise=noise, duration_s=120.0), np.random.default_rng(11)
     recording = record(scene, drawn(scene.drivers, rng, noise=noise), (), rng)
     assert recording is not None
-    return prepared(recording)
+    return prepare(tracks_of(recording))
 
 
 def test_noises_are_fitted_where_the_constants_of_the_paper_do_not_suit():

@@ -23,7 +23,7 @@ DT = 1.0 / 3.0
 def jam():
     length = np.full(22, 4.33)
     start = platoon(length, 2.0)
-    return simulate(Simulator(defaults(22), length, start, Road(230.0), np.random.default_rng(0)), 150.0).measured
+    return simulate(Simulator(defaults(22), length, start, Road(230.0), np.random.default_rng(0)), 150.0).dense
 
 
 def follow(t, driver, online, samples=None):
@@ -98,7 +98,7 @@ def changing(factor, ring_m, seed):
     rows[who] = switched[who]
     length, road = np.full(22, 4.33), Road(ring_m)
     simulator = Simulator(rows, length, evenly(length, road), road, np.random.default_rng(seed))
-    return simulate(simulator, 200.0).measured, np.flatnonzero(who)
+    return simulate(simulator, 200.0).dense, np.flatnonzero(who)
 
 
 def changes(t, driver):
@@ -151,7 +151,7 @@ def test_the_probability_of_a_drivers_type_is_right(jam):
     drivers = rows[np.arange(22) % 2]
     length = np.full(22, 4.33)
     start = platoon(length, 2.0)
-    t = simulate(Simulator(drivers, length, start, Road(230.0), np.random.default_rng(2)), 60.0).measured
+    t = simulate(Simulator(drivers, length, start, Road(230.0), np.random.default_rng(2)), 60.0).dense
     types = DriverTypes(np.array([0.5, 0.5]), rows)
     scores = []
     for driver in range(22):

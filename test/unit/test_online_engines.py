@@ -30,7 +30,7 @@ def recorded(rows, duration_s, ring_m, seed=0):
     cars = len(rows)
     length, road, rng = np.full(cars, 4.33), Road(ring_m), np.random.default_rng(seed)
     start = platoon(length, 2.0) if 0.0 < ring_m < 300.0 else evenly(length, Road(ring_m or 20.0 * cars))
-    return simulate(Simulator(rows, length, start, road, rng), duration_s, stop_at_collision=False).measured
+    return simulate(Simulator(rows, length, start, road, rng), duration_s, stop_at_collision=False).dense
 
 
 @pytest.fixture(scope="module")

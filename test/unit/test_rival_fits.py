@@ -13,10 +13,12 @@ from sugiyama_ros.diagnosis.rivals import laws
 from sugiyama_ros.diagnosis.table import Entry
 from sugiyama_ros.fit.joint import fit_base, start_model
 from sugiyama_ros.fit.law import in_filter
-from sugiyama_ros.fit.recording import prepare, some_drivers
+from sugiyama_ros.fit.preparation import prepare
+from sugiyama_ros.fit.recording import some_drivers
 from sugiyama_ros.fit.score import evaluate, follow
 from sugiyama_ros.laws import registry
 from sugiyama_ros.laws.registry import RIVALS
+from sugiyama_ros.trajectories.dense import tracks_of
 
 CARS = 18
 WHO = [0, 5, 11]
@@ -30,7 +32,7 @@ def work():
 
 @pytest.fixture(scope="module")
 def data():
-    return prepare(jam(CARS, 60.0))
+    return prepare(tracks_of(jam(CARS, 60.0)))
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,8 @@ from sugiyama_ros.diagnosis.forecast import forecasts, surroundings
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import fit_base, start_model
-from sugiyama_ros.fit.recording import FOLDS, prepare
+from sugiyama_ros.fit.preparation import prepare
+from sugiyama_ros.fit.recording import FOLDS
 from sugiyama_ros.fit.score import evaluate, filtered_states
 from sugiyama_ros.fit.simulated import resample
 from sugiyama_ros.fit.smooth_positions import (
@@ -23,6 +24,7 @@ from sugiyama_ros.fit.smooth_positions import (
 )
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
+from sugiyama_ros.trajectories.dense import tracks_of
 
 CARS, EVERY = 8, 3
 
@@ -34,8 +36,8 @@ def slow():
     start = platoon(length, 2.0)
     rng = np.random.default_rng(11)
     run = simulate(Simulator(ROW.with_effects(defaults(CARS)), length, start, Road(84.0), rng), 150.0)
-    kept = run.measured.position_m[::EVERY]
-    return replace(run.measured, position_m=kept, period_s=EVERY * run.measured.period_s)
+    kept = run.dense.position_m[::EVERY]
+    return replace(run.dense, position_m=kept, period_s=EVERY * run.dense.period_s)
 
 
 def test_empty_samples_come_in_between_and_go_again(slow):
@@ -52,7 +54,7 @@ def test_empty_samples_come_in_between_and_go_again(slow):
 
 
 def test_a_fit_settles_on_the_same_parameters_for_drivers_and_for_those_ahead(slow):
-    data, own = prepare(slow), (SIGMA_NU, SIGMA_A, V_STAR, KAPPA_V)
+    data, own = prepare(tracks_of(slow)), (SIGMA_NU, SIGMA_A, V_STAR, KAPPA_V)
     with ThreadPoolExecutor(1) as work:
         found = fit_base(data, own, work)
         settled = evaluate(data, replace(found.model, ahead=found.model.rows), work)
@@ -65,7 +67,7 @@ def test_a_fit_settles_on_the_same_parameters_for_drivers_and_for_those_ahead(sl
 
 
 def test_a_filter_knows_its_errors_between_pictures_that_are_a_second_apart(slow):
-    data = prepare(slow)
+    data = prepare(tracks_of(slow))
     assert (data.every, data.measured_samples) == (EVERY, len(slow.position_m))
     model = start_model(data, (SIGMA_NU, SIGMA_A, V_STAR, KAPPA_V))
     model.rows[:], model.ahead[:] = ROW.with_effects(defaults(CARS)), ROW.with_effects(defaults(CARS))
@@ -78,7 +80,7 @@ def test_a_filter_knows_its_errors_between_pictures_that_are_a_second_apart(slow
 
 
 def test_simulated_recordings_miss_what_the_recording_misses(slow):
-    data = prepare(slow)
+    data = prepare(tracks_of(slow))
     model = start_model(data, (SIGMA_NU, SIGMA_A, V_STAR, KAPPA_V))
     with ThreadPoolExecutor(1) as work:
         states = filtered_states(data, model, work)
@@ -140,7 +142,7 @@ def test_the_ends_of_a_smoothed_record_do_not_count(slow):
         period_s=0.1,
         road=Road(0.0),
     )
-    data = prepare(t)
+    data = prepare(tracks_of(t))
     # three quarters of the window are 0.9 s, but samples are at most 0.8 s apart
     assert (data.every, data.apart_s, data.smoothed_s) == (8, pytest.approx(0.8), pytest.approx(1.1))
     assert np.isfinite(data.trajectories.position_m[::8]).all()

@@ -11,7 +11,7 @@ from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.filters.causal import filter_chain
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.fit.model import Model
-from sugiyama_ros.fit.recording import prepare
+from sugiyama_ros.fit.preparation import prepare
 from sugiyama_ros.fit.score import evaluate, filtered_states
 from sugiyama_ros.fit.simulated import resample
 from sugiyama_ros.road import Road

@@ -12,7 +12,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN
 from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Moment, State, scene_at, step_for
 from sugiyama_ros.filters.step import linearise
-from sugiyama_ros.formats.registry import read_trajectories
+from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.formats.truth import read_truth
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.experiment import Experiment, carry_out, changed, set_up
@@ -65,7 +65,7 @@ def test_a_jam_is_the_papers():
         assert 5.5 <= speed.mean() <= 6.3
         assert speed.min(axis=1).mean() < 1.0
         assert 9.5 < speed.max(axis=1).mean() < 11.0
-        assert -7.0 <= wave_speed(position, speed, 230.0, run.measured.period_s) <= -6.0
+        assert -7.0 <= wave_speed(position, speed, 230.0, run.dense.period_s) <= -6.0
 
 
 def wave_speed(position, speed, circumference, period):
@@ -78,13 +78,13 @@ def wave_speed(position, speed, circumference, period):
 
 def test_a_seed_repeats_exactly():
     one, two, other = (simulate(ring_of_22(seed), 20.0) for seed in (7, 7, 8))
-    assert np.array_equal(one.measured.position_m, two.measured.position_m)
-    assert not np.array_equal(one.measured.position_m, other.measured.position_m)
+    assert np.array_equal(one.dense.position_m, two.dense.position_m)
+    assert not np.array_equal(one.dense.position_m, other.dense.position_m)
 
 
 def test_measurement_noise_has_its_std():
     run = simulate(ring_of_22(3), 250.0)
-    error = run.measured.road.difference(run.measured.position_m, run.position_m)
+    error = run.dense.road.difference(run.dense.position_m, run.position_m)
     n = error.size
     # the sample variance of n normal values has a relative std of sqrt(2 / n); five of these are allowed
     assert error.var() == pytest.approx(0.263**2, rel=5 * np.sqrt(2 / n))
@@ -128,8 +128,8 @@ def test_a_collision_ends_the_run_and_is_reported():
     s = Simulator(p, np.full(2, 4.0), start, Road(), np.random.default_rng(0), speed=np.array([14.0, 0.5]))
     run = simulate(s, 20.0)
     assert [(c.vehicle, c.leader) for c in run.collisions] == [(0, 1)]
-    assert run.measured.duration_s == pytest.approx(run.collisions[0].time_s)
-    assert run.measured.duration_s < 20.0
+    assert run.dense.duration_s == pytest.approx(run.collisions[0].time_s)
+    assert run.dense.duration_s < 20.0
 
 
 def test_an_impossible_start_is_refused():
@@ -150,7 +150,7 @@ def test_translating_the_ring_changes_nothing():
         for shift in (0.0, 17.0)
     ]
     assert runs[1].speed == pytest.approx(runs[0].speed, abs=1e-9)
-    moved = runs[0].measured.road.difference(runs[1].position_m, runs[0].position_m + 17.0)
+    moved = runs[0].dense.road.difference(runs[1].position_m, runs[0].position_m + 17.0)
     assert moved == pytest.approx(np.zeros_like(moved), abs=1e-9)
 
 
@@ -172,7 +172,7 @@ def test_the_truth_goes_into_a_bag_and_comes_back(tmp_path: Path, ring_m: float)
     run.save(tmp_path / "a.mcap")
     truth = read_truth(tmp_path / "a.mcap")
     assert truth is not None
-    assert np.array_equal(truth.time_s, np.round(run.measured.time_s, 9))
+    assert np.array_equal(truth.time_s, np.round(run.dense.time_s, 9))
     for name in ("vehicle", "position_m", "speed", "acceleration", "gap_m"):
         assert np.array_equal(getattr(truth, name), getattr(run.truth, name)), name
     assert [(d.vehicle, d.parameters) for d in truth.drivers] == [(d.vehicle, d.parameters) for d in run.truth.drivers]
@@ -181,7 +181,7 @@ def test_the_truth_goes_into_a_bag_and_comes_back(tmp_path: Path, ring_m: float)
     # the gap at the start, and on the ring the gaps and lengths make up the circumference
     assert truth.gap_m[0, :2] == pytest.approx(2.0)
     assert truth.gap_m[:, 2] == pytest.approx(np.inf if ring_m == 0.0 else 60.0 - 15.0 - truth.gap_m[:, :2].sum(axis=1))
-    assert np.array_equal(read_trajectories(tmp_path / "a.mcap").position_m, run.measured.position_m)
+    assert np.array_equal(read_tracks(tmp_path / "a.mcap").dense().position_m, run.dense.position_m)
     run.save(tmp_path / "a.csv")
     with pytest.raises(InputError):
         read_truth(tmp_path / "a.csv")

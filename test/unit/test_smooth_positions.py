@@ -37,7 +37,7 @@ def test_roughness_is_the_noise_of_third_differences():
 
 
 def test_a_camera_is_not_smooth_and_positions_from_a_satellite_are():
-    camera = sg.simulate(vehicles=4, ring_m=45.0, duration_s=60.0, seed=1).measured
+    camera = sg.simulate(vehicles=4, ring_m=45.0, duration_s=60.0, seed=1).dense
     even = evenness(camera)
     assert not even.is_smooth
     assert even.estimated() == ESTIMATED

@@ -23,7 +23,7 @@ def jam():
     length, drivers = np.full(22, 4.33), defaults(22)
     drivers[:, KAPPA_V] *= np.exp(0.2 * np.random.default_rng(2).standard_normal(22))
     simulator = Simulator(drivers, length, platoon(length, 2.0), Road(230.0), np.random.default_rng(4))
-    return simulate(simulator, 120.0).measured
+    return simulate(simulator, 120.0).dense
 
 
 @pytest.mark.parametrize("name", STUDIES)
@@ -86,5 +86,5 @@ def test_a_hidden_effect_acts_at_a_place_or_a_time_that_is_drawn(name, parameter
     assert not run.collisions
     assert values == {**strong, parameter: values[parameter]}
     assert low <= values[parameter] <= high
-    np.testing.assert_array_equal(run.measured.position_m, again.measured.position_m)
+    np.testing.assert_array_equal(run.dense.position_m, again.dense.position_m)
     assert not np.array_equal(run.position_m, weaker.position_m)

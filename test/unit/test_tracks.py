@@ -252,13 +252,13 @@ def test_pandas_and_back() -> None:
     given = assemble(columns(lane=np.full(240, 1)))
     frame = given.to_frame()
     assert list(frame.columns) == list(given.columns)
-    back = sg.read_tracks(frame)
+    back = sg.read(frame)
     np.testing.assert_array_equal(back.s_m, given.s_m)
     np.testing.assert_array_equal(back.leader_row, given.leader_row)
     with pytest.raises(InputError, match="no column s_m or position_m"):
-        sg.read_tracks(frame.drop(columns="s_m"))
+        sg.read(frame.drop(columns="s_m"))
     with pytest.raises(InputError, match=r"data frame: column s_m: 'far' is not a number"):
-        sg.read_tracks(frame.assign(s_m="far"))
+        sg.read(frame.assign(s_m="far"))
 
 
 def test_labels() -> None:

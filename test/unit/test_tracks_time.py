@@ -1,5 +1,7 @@
 """Tracks on a regular time base, stretches for the filter, and one lane as a dense table."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from sugiyama_ros.filters.extract import chain_behind, drives
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.assemble import assemble
-from sugiyama_ros.trajectories.one_lane import check_order, one_lane, tracks_of
+from sugiyama_ros.trajectories.dense import tracks_of, whole_road
 from sugiyama_ros.trajectories.stretches import stretches
 from sugiyama_ros.trajectories.time_base import is_regular, on_time_base, period_of, resample
 from sugiyama_ros.trajectories.tracks import NOBODY, Tracks
@@ -188,39 +190,39 @@ def test_chains_are_those_of_the_dense_table() -> None:
 
 
 def test_one_lane_becomes_a_dense_table() -> None:
-    dense = one_lane(platoon(), "a.csv")
-    assert dense.vehicle.tolist() == [1, 2, 3, 4]
-    assert dense.period_s == 0.1
-    np.testing.assert_array_equal(dense.leader[0], [-1, 0, 1, 2])
-    back = tracks_of(dense)
+    road = platoon().dense("a.csv")
+    assert road.vehicle.tolist() == [1, 2, 3, 4]
+    assert road.period_s == 0.1
+    np.testing.assert_array_equal(road.leader[0], [-1, 0, 1, 2])
+    back = tracks_of(road)
     np.testing.assert_array_equal(back.s_m, platoon().s_m)
     assert back.leader.at(0) == NOBODY
     named = rows(3)
     named["vehicle"] = np.array(["lead", "veh_7", "veh_8"])[named["vehicle"] - 1]
-    assert one_lane(assemble(named), "a.csv").vehicle.tolist() == [9, 7, 8]
+    assert assemble(named).dense("a.csv").vehicle.tolist() == [9, 7, 8]
 
 
 def test_what_is_not_one_lane_is_refused_with_the_cure() -> None:
     table = rows()
     two = assemble({**table, "lane": (table["vehicle"] > 2).astype(int)})
-    with pytest.raises(InputError, match=r"a.csv: 2 lanes \(0, 1\), .*sugiyama convert a.csv one.parquet --lane 0"):
-        one_lane(two, "a.csv")
+    with pytest.raises(InputError, match=r"a.csv: 2 lanes \(0, 1\) where one is needed; .* --lane 0"):
+        two.dense("a.csv")
     with pytest.raises(InputError, match=r"2 recordings .*--recording 0"):
-        one_lane(assemble({**table, "recording": (table["vehicle"] > 2).astype(int)}), "a.csv")
+        assemble({**table, "recording": (table["vehicle"] > 2).astype(int)}).dense("a.csv")
     leader = np.array(["", "1", "9", "3"])[table["vehicle"] - 1]
     with pytest.raises(InputError, match=r"ahead of 3 was not always recorded.* rest.parquet --without 3$"):
-        one_lane(assemble({**table, "leader": leader}), "a.csv")
+        assemble({**table, "leader": leader}).dense("a.csv")
     keep = (table["vehicle"] != 2) | (table["time_s"] > 5.05)
     known = {**table, "leader": np.array(["", "1", "2", "3"])[table["vehicle"] - 1]}
     with pytest.raises(InputError, match=r"rest.parquet --from 5.1 --to 20$"):
-        one_lane(assemble(part(known, keep)), "a.csv")
+        assemble(part(known, keep)).dense("a.csv")
     leader = np.array(["", "1", "1", "3"])[table["vehicle"] - 1]
     with pytest.raises(InputError, match=r"only 66.7 % of the leaders are the next vehicle in this lane"):
-        one_lane(assemble({**table, "leader": leader}, About(leaders="given")), "a.csv")
+        assemble({**table, "leader": leader}, About(leaders="given")).dense("a.csv")
     sparse = rows(100, 6.0)
     sparse["time_s"] = sparse["time_s"] + 50.0 * sparse["vehicle"]
     with pytest.raises(InputError, match=r"come and go .*--from SECONDS --to SECONDS"):
-        one_lane(assemble(sparse), "a.csv")
+        assemble(sparse).dense("a.csv")
 
 
 def test_vehicles_that_drive_through_one_another_are_refused() -> None:
@@ -228,5 +230,5 @@ def test_vehicles_that_drive_through_one_another_are_refused() -> None:
     position = np.column_stack((10.0 * time + 100.0, 11.5 * time))
     crossing = Trajectories(position, np.full(2, 4.0), np.array([3, 5]), Road(), 0.1)
     with pytest.raises(InputError, match=r"drives through vehicle . at .*give --ring METRES.*give the column lane"):
-        check_order(crossing, "a.csv")
-    check_order(Trajectories(position[:40], np.full(2, 4.0), np.array([3, 5]), Road(), 0.1), "a.csv")
+        whole_road(tracks_of(crossing))
+    assert whole_road(tracks_of(replace(crossing, position_m=position[:40]))) is not None

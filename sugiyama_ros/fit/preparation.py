@@ -1,4 +1,8 @@
-"""Tracks prepared for a fit: each driver with all stretches, one after the other, behind measured vehicles."""
+"""Tracks prepared for a fit, in one of two ways.
+
+On a whole road, the drivers see one another. Elsewhere each driver has all stretches on which they follow a known
+vehicle, one after the other, behind the vehicles ahead as measured.
+"""
 
 from collections import Counter, defaultdict
 from collections.abc import Sequence
@@ -9,9 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sugiyama_ros.arrays import Array, Ints, Mask
+from sugiyama_ros.driver.parameters import COUNT, RHO
+from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN, Chain
-from sugiyama_ros.filters.extract import Drive, divided, drives
+from sugiyama_ros.filters.extract import Drive, chain_behind, divided, drives
+from sugiyama_ros.fit.driver import most_seen
 from sugiyama_ros.fit.recording import (
     BLOCK_S,
     FOLDS,
@@ -19,24 +26,27 @@ from sugiyama_ros.fit.recording import (
     DriverName,
     Recorded,
     Vicinity,
-    bounds_of,
+    behind_measured,
     columns_of,
-    prepare,
-    within,
+    numbered,
 )
+from sugiyama_ros.fit.scoring import SMALLEST, fastest, lower_bounds, upper_bounds
 from sugiyama_ros.fit.smooth_positions import (
     Evenness,
     apart_if_smoothed,
+    evenness,
     evenness_of,
     measured,
+    measured_every,
     smoothed_alike,
     smoothing_window,
     thinned,
     usual_decisions,
+    with_short_periods,
 )
 from sugiyama_ros.fit.smooth_positions import divided as divided_recording
 from sugiyama_ros.road import Road
-from sugiyama_ros.trajectories.one_lane import numbers_of
+from sugiyama_ros.trajectories.dense import numbers_of, whole_road
 from sugiyama_ros.trajectories.time_base import on_time_base, period_of
 from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
@@ -48,8 +58,125 @@ LEAST_FOLLOWING_S = 15.0
 _SPEED_OVER_S = 1.0
 # Empty samples between two stretches: as many as anything looks back.
 _BETWEEN = 10
+# Part of the samples in which a driver must have a leader, to count as a driver who follows.
+_LEAST_LED = 0.1
 # Shortest block [s] that is held out, where a driver is recorded for long enough.
 _SHORT_BLOCK_S = 5.0
+
+
+def prepare(tracks: Tracks, decisions: int | None = None, most: int | None = MOST_SAMPLES) -> Recorded:
+    """Prepare tracks for a fit: as a whole road where everybody's leader is known throughout, else as stretches.
+
+    decisions: number of decisions of the model's drivers from one sample to the next; by default ``usual_decisions``;
+    most: drivers times samples, at most; of more, some drivers stand for all; None for no bound. Raises InputError.
+    """
+    road = whole_road(tracks)
+    if road is None:
+        return prepare_stretches(tracks, decisions, most)
+    return prepare_road(road if decisions is None else divided_recording(measured(road), decisions), most=most)
+
+
+def within(most: int | None, drivers: int, samples: int) -> range:
+    """Return the numbers of drivers who stand for all."""
+    return range(0, drivers, 1 if most is None else min(drivers, -(-drivers * samples // most)))
+
+
+def prepare_road(trajectories: Trajectories, segment: Ints | None = None, most: int | None = None) -> Recorded:
+    """Prepare a whole road for a fit; filters restart where the number of the ``segment`` (T,) changes.
+
+    Raises InputError.
+    """
+    trajectories = with_short_periods(trajectories)
+    seen, decisions = measured(trajectories), measured_every(trajectories)
+    window = smoothing_window(seen.road.unwrap(seen.position_m).T, seen.period_s)
+    alike = smoothed_alike(trajectories.present.T, window * decisions)
+    if decisions == 1:
+        every = apart_if_smoothed(window, evenness(trajectories))
+        trajectories = replace(trajectories, position_m=thinned(trajectories.position_m, every))
+    samples, drivers = trajectories.position_m.shape
+    block = _blocks_of_road(trajectories)
+    who = within(most, drivers, -(-samples // measured_every(trajectories)))
+    chains = tuple(chain_behind(trajectories, i, segment=segment) for i in who)
+    unbroken = np.zeros(samples, np.int64) if segment is None else segment
+    even, speed = evenness(measured(trajectories)), fastest(measured(trajectories))
+    lower, upper = bounds_of(even, speed)
+    is_whole, around = len(who) == drivers, _vicinity_of_road(trajectories)
+    return Recorded(
+        vicinity=around if is_whole else behind_measured(around, chains, who),
+        chains=chains,
+        ahead=numbered(drivers, who)[_ahead_of_road(trajectories, who)],
+        block=np.tile(block, (len(who), 1)),
+        fold=np.tile(block % FOLDS, (len(who), 1)),
+        segment=np.tile(unbroken, (len(who), 1)),
+        scored=_who_follows(chains)[:, None] & alike[who],
+        even=even,
+        speed=speed,
+        lower=lower,
+        upper=upper,
+        trajectories=trajectories if is_whole else None,
+        every=measured_every(trajectories),
+        decisions=decisions,
+        smoothed_s=window * seen.period_s,
+        left_out=drivers - len(who),
+    )
+
+
+def _blocks_of_road(trajectories: Trajectories) -> Ints:
+    """Number of the block of time of each sample, (T,). Raises InputError for a recording that is too short."""
+    samples = len(trajectories.position_m)
+    duration = trajectories.period_s * samples
+    if duration < 8.0:
+        raise InputError(f"{trajectories.source}: lasts {duration:.1f} s; give at least 8 s to fit and to hold out")
+    block_s = min(BLOCK_S, duration / (2 * FOLDS))
+    number: Ints = (np.arange(samples) * trajectories.period_s / block_s).astype(np.int64)
+    return np.minimum(number, round(duration / block_s) - 1)
+
+
+def _vicinity_of_road(t: Trajectories) -> Vicinity:
+    samples, drivers = t.position_m.shape
+    return Vicinity(
+        names=tuple(DriverName(number) for number in t.vehicle.tolist()),
+        position_m=t.position_m,
+        length_m=np.tile(t.length_m, (samples, 1)),
+        leader=t.leader,
+        time_s=np.tile((t.start_s + t.period_s * np.arange(samples))[:, None], (1, drivers)),
+        road=t.road,
+        period_s=t.period_s,
+        is_whole_road=True,
+        has_places=True,
+        source=t.source,
+        sha256=t.sha256,
+    )
+
+
+def _ahead_of_road(t: Trajectories, who: Sequence[int]) -> Ints:
+    """Columns of the vehicles ahead of some drivers in most samples, (N, CHAIN - 1), or -1."""
+    number, samples = {v: k for k, v in enumerate(t.vehicle.tolist())}, np.arange(len(t.position_m))
+    ahead = np.full((len(who), CHAIN - 1), -1)
+    for k, i in enumerate(who):
+        column = np.where(t.present[:, i], i, -1)
+        for m in range(1, CHAIN):
+            column = np.where(column >= 0, t.leader[samples, column], -1)
+            ahead[k, m - 1] = number.get(most_seen(np.where(column >= 0, t.vehicle[column], -1)), -1)
+    return ahead
+
+
+def _who_follows(chains: Sequence[Chain]) -> Mask:
+    """Whether each driver has a leader in a part of the samples, (N,); all True if nobody has."""
+    there = np.array([(chain.identity[:, 0] >= 0).sum() for chain in chains])
+    led = np.array([((chain.identity[:, 0] >= 0) & (chain.identity[:, 1] >= 0)).sum() for chain in chains])
+    follows = led > _LEAST_LED * there
+    return follows if follows.any() else np.ones_like(follows)
+
+
+def bounds_of(even: Evenness, speed: float) -> tuple[Array, Array]:
+    """Return smallest sizes and upper bounds (WIDTH,) of a search over rows; ``speed``: a high one in the data."""
+    lower = np.full(ROW.width, SMALLEST)
+    lower[:COUNT] = lower_bounds(even)
+    upper = np.array([p.upper for p in ROW.declared])
+    upper[:COUNT] = upper_bounds(speed)
+    upper[RHO] = 0.99
+    return lower, upper
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,8 +236,8 @@ def fastest_on(every: Sequence[Drive], apart: int = 1) -> float:
     return float(np.nanquantile(np.concatenate(ways), 0.99)) / (steps * period_s)
 
 
-def prepare_tracks(tracks: Tracks, decisions: int | None = None, most: int | None = None) -> Recorded:
-    """Prepare tracks for a fit; ``decisions``: as for ``followers``. Raises InputError."""
+def prepare_stretches(tracks: Tracks, decisions: int | None = None, most: int | None = None) -> Recorded:
+    """Prepare drivers who follow a known vehicle on some stretches, behind the vehicles ahead as measured."""
     tracks = on_time_base(tracks)
     found = followers(tracks, decisions)
     every, parts = found.every, found.decisions
@@ -142,15 +269,6 @@ def prepare_tracks(tracks: Tracks, decisions: int | None = None, most: int | Non
         smoothed_s=window * seen_s,
         left_out=len(found.enough) - len(drivers),
     )
-
-
-def prepared(
-    recording: Trajectories | Tracks, decisions: int | None = None, most: int | None = MOST_SAMPLES
-) -> Recorded:
-    """Prepare a whole road or tracks for a fit; ``decisions``: by default ``usual_decisions``. Raises InputError."""
-    if isinstance(recording, Tracks):
-        return prepare_tracks(recording, decisions, most)
-    return prepare(recording if decisions is None else divided_recording(measured(recording), decisions), most=most)
 
 
 def driven_anew(data: Recorded, position_m: Array, segment: Ints) -> Recorded:
@@ -235,7 +353,7 @@ def _segments(chain: Chain) -> Ints:
 
 def _ahead(drivers: Sequence[Sequence[Drive]]) -> Ints:
     """Numbers of the drivers who are ahead in most samples, (N, CHAIN - 1), or -1."""
-    number = {_run(own): i for i, own in enumerate(drivers)}
+    number = {run_of(own): i for i, own in enumerate(drivers)}
     ahead = np.full((len(drivers), CHAIN - 1), -1)
     for i, own in enumerate(drivers):
         for m in range(1, CHAIN):
@@ -246,7 +364,7 @@ def _ahead(drivers: Sequence[Sequence[Drive]]) -> Ints:
     return ahead
 
 
-def _run(own: Sequence[Drive]) -> int:
+def run_of(own: Sequence[Drive]) -> int:
     """Number of the driver's run in the tracks."""
     return int(own[0].chain.identity[:, 0].max())
 
@@ -257,7 +375,7 @@ def _vicinity(tracks: Tracks, drivers: Sequence[Sequence[Drive]], chains: Sequen
     names = []
     for own in drivers:
         who = own[0].stretch
-        names.append(DriverName(int(numbers[_run(own)]), who.recording, who.vehicle, who.vehicle_class))
+        names.append(DriverName(int(numbers[run_of(own)]), who.recording, who.vehicle, who.vehicle_class))
     return Vicinity(
         names=_short(names),
         position_m=position,
