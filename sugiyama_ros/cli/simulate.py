@@ -4,7 +4,7 @@ import dataclasses
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -22,12 +22,12 @@ from sugiyama_ros.cli.options import (
 )
 from sugiyama_ros.cli.output import print_cautions, print_json, print_line, print_note
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.files import Output
 from sugiyama_ros.laws import PAPERS
 
 if TYPE_CHECKING:
     from sugiyama_ros.arrays import Array
     from sugiyama_ros.simulation.experiment import Experiment
-    from sugiyama_ros.simulation.result import Simulation
 
 
 @dataclass(frozen=True)
@@ -73,96 +73,74 @@ def simulate(options: _SimulateOptions) -> None:
     first vehicle starts at 0 m and all others behind it.
     """
     print_cautions(options.model)
-    if options.lanes is not None:
-        _simulate_lanes(options, options.lanes)
-        return
-    if options.view is not None:
+    from sugiyama_ros.simulation.experiment import Experiment
+
+    if options.lanes is None and options.view is not None:
         raise InputError("--view: is for tracks; add --lanes, or leave it out")
+    if options.lanes is not None and options.ring:
+        raise InputError("--ring: a ring has one lane; leave out --ring or --lanes")
+    output = to_write(options.output, options.overwrite, ".mcap" if options.lanes is None else ".parquet", ".csv")
+    vehicles = options.vehicles * (options.lanes or 1)
+    ring_m = options.ring if options.ring is not None else Experiment.ring_m if options.lanes is None else 0.0
+    experiment = Experiment(
+        ring_m, options.duration, period_s=options.period, spread=options.spread, seed=options.seed, start=options.start
+    )
+    experiment.check(vehicles)
+    drive = _on_one_lane if options.lanes is None else _on_lanes
+    document, lines = drive(options, experiment, _rows(options, vehicles), output)
+    if options.as_json:
+        print_json({"output": str(options.output), "vehicles": vehicles, **document, "seed": options.seed})
+        return
+    for line in lines:
+        print_line(line)
+    for c in document.get("collisions", ()):
+        print_note(f"collision: vehicle {c['vehicle']} into {c['leader']} at {c['time_s']:.1f} s; the run ends there")
+
+
+def _on_one_lane(
+    options: _SimulateOptions, experiment: "Experiment", rows: "Array", output: Output
+) -> tuple[dict[str, Any], list[str]]:
+    """Write a ring or a lane with the truth; returns the document, and what is said."""
     from sugiyama_ros.formats.table import write_csv
     from sugiyama_ros.formats.truth import write_simulated
+    from sugiyama_ros.simulation.experiment import carry_out
 
-    output = to_write(options.output, options.overwrite, ".mcap", ".csv")
-    simulated = _simulated(options)
+    simulated = carry_out(experiment, rows)
+    measured, speed = simulated.dense, simulated.speed[len(simulated.speed) // 2 :]
     if output.path.suffix == ".mcap":
-        write_simulated(simulated.dense, simulated.truth, output)
+        write_simulated(measured, simulated.truth, output)
     else:
-        write_csv(simulated.dense, output)
-    speed = simulated.speed[len(simulated.speed) // 2 :]
+        write_csv(measured, output)
     second_half = {"v_avg": speed.mean(), "v_min": speed.min(axis=1).mean(), "v_max": speed.max(axis=1).mean()}
     document = {
-        "output": str(options.output),
-        "vehicles": options.vehicles,
         "steps": len(simulated.speed),
-        "duration_s": simulated.dense.duration_s,
+        "duration_s": measured.duration_s,
         "second_half": second_half,
         "collisions": [dataclasses.asdict(c) for c in simulated.collisions],
-        "seed": options.seed,
     }
-    if options.as_json:
-        print_json(document)
-        return
-    print_line(f"{options.vehicles} vehicles, {simulated.dense.duration_s:.1f} s, in {options.output}")
     shown = ", ".join(f"{name} {value:.2f}" for name, value in second_half.items())
-    print_line(f"second half: {shown} m/s")
-    if output.path.suffix == ".csv" and simulated.dense.road.is_ring:
+    lines = [f"{len(rows)} vehicles, {measured.duration_s:.1f} s, in {options.output}", f"second half: {shown} m/s"]
+    if output.path.suffix == ".csv" and measured.road.is_ring:
         # a table says nothing of the road
         from sugiyama_ros.cli.data import info
 
-        ring = simulated.dense.road.circumference_m
-        print_line(f"look at it: {command_line('info', info, files=[options.output], ring=ring)}")
-    for c in simulated.collisions:
-        print_note(f"collision: vehicle {c.vehicle} into {c.leader} at {c.time_s:.1f} s; the run ends there")
+        lines.append(f"look at it: {command_line('info', info, files=[options.output], ring=experiment.ring_m)}")
+    return document, lines
 
 
-def _simulated(options: _SimulateOptions) -> "Simulation":
-    """Simulate from rest."""
-    from sugiyama_ros.simulation.experiment import Experiment, carry_out
-
-    experiment = _experiment(options, Experiment.ring_m if options.ring is None else options.ring)
-    experiment.check(options.vehicles)
-    return carry_out(experiment, _rows(options, options.vehicles))
-
-
-def _experiment(options: _SimulateOptions, ring_m: float) -> "Experiment":
-    """The setting that the options ask for."""
-    from sugiyama_ros.simulation.experiment import Experiment
-
-    return Experiment(
-        ring_m=ring_m,
-        duration_s=options.duration,
-        period_s=options.period,
-        spread=options.spread,
-        seed=options.seed,
-        start=options.start,
-    )
-
-
-def _simulate_lanes(options: _SimulateOptions, lanes: int) -> None:
-    """Simulate an open road with lanes, and write the tracks of who is in view."""
+def _on_lanes(
+    options: _SimulateOptions, experiment: "Experiment", rows: "Array", output: Output
+) -> tuple[dict[str, Any], list[str]]:
+    """Write the tracks of who is in view on an open road with lanes; results as of ``_on_one_lane``."""
     from sugiyama_ros.formats.tracks_parquet import write_tracks
     from sugiyama_ros.simulation.lanes import alike_lanes
 
-    if options.ring:
-        raise InputError("--ring: a ring has one lane; leave out --ring or --lanes")
-    output = to_write(options.output, options.overwrite, ".parquet", ".csv")
-    experiment = _experiment(options, 0.0)
-    experiment.check(options.vehicles * lanes)
-    tracks = alike_lanes(experiment, _rows(options, options.vehicles * lanes), lanes, _view(options.view))
+    lanes = options.lanes or 1
+    tracks = alike_lanes(experiment, rows, lanes, _view(options.view))
     write_tracks(tracks, output)
-    seen = tracks.runs
-    document = {
-        "output": str(options.output),
-        "lanes": lanes,
-        "vehicles": options.vehicles * lanes,
-        "seen": seen,
-        "rows": len(tracks),
-        "seed": options.seed,
-    }
-    if options.as_json:
-        print_json(document)
-        return
-    print_line(f"{options.vehicles * lanes} vehicles on {lanes} lanes, {seen} of them seen, {len(tracks)} rows")
-    print_line(f"in {options.output} (sugiyama info {options.output})")
+    seen = f"{len(rows)} vehicles on {lanes} lanes, {tracks.runs} of them seen, {len(tracks)} rows"
+    document = {"lanes": lanes, "seen": tracks.runs, "rows": len(tracks)}
+    return document, [seen, f"in {options.output} (sugiyama info {options.output})"]
 
 
 def _view(text: str | None) -> tuple[float, float]:
