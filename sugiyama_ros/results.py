@@ -172,7 +172,7 @@ class Result:
             writers[path.suffix](stream, path.suffix[1:])
 
     def _save_json(self, stream: BinaryIO, _: str) -> None:
-        stream.write((json.dumps(plain(list(self.records())), indent=2, allow_nan=False) + "\n").encode())
+        stream.write((to_json(list(self.records()), indent=2) + "\n").encode())
 
     def _save_csv(self, stream: BinaryIO, _: str) -> None:
         stream.write(self.to_frame().to_csv(index=False).encode())
@@ -212,6 +212,11 @@ def needs(module: str, what: str) -> None:
     """Check that an optional library is there. Raises InputError, which says how to install it."""
     if find_spec(module) is None:
         raise InputError(f"{what}: {module} is not installed; pip install {module}")
+
+
+def to_json(document: Any, indent: int | None = None) -> str:
+    """Write a document as JSON; NaN and infinite numbers become null."""
+    return json.dumps(plain(document), indent=indent, allow_nan=False)
 
 
 def plain(value: Any) -> Any:

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sugiyama_ros.cli.options import Json, Overwrite, Ring, names, takes, to_write
-from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, tell, to_json
+from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, tell
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.files import Output, name_of_part
 from sugiyama_ros.progress import stage
-from sugiyama_ros.results import TextTable
+from sugiyama_ros.results import TextTable, to_json
 
 if TYPE_CHECKING:
     from sugiyama_ros.formats.convert import Part

@@ -25,11 +25,11 @@ from sugiyama_ros.cli.options import (
     takes,
     to_write,
 )
-from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, print_warnings, to_json
+from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, print_warnings
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.laws import PAPERS
 from sugiyama_ros.progress import stages
-from sugiyama_ros.results import plain
+from sugiyama_ros.results import plain, to_json
 
 if TYPE_CHECKING:
     from sugiyama_ros.diagnosis.diagnose import Diagnosis

@@ -1,6 +1,5 @@
 """What the commands print: text, tables and JSON on stdout; notes and progress on stderr."""
 
-import json
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -15,7 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from sugiyama_ros.results import TextTable, plain
+from sugiyama_ros.results import TextTable, to_json
 
 if TYPE_CHECKING:
     from sugiyama_ros.page.truth import AgainstTruth
@@ -112,11 +111,6 @@ def tell(document: Any, text: str, as_json: bool) -> None:
         print_json(document)
     else:
         print_line(text)
-
-
-def to_json(document: Any, indent: int | None = None) -> str:
-    """A document as JSON; NaN and infinite numbers become null."""
-    return json.dumps(plain(document), indent=indent, allow_nan=False)
 
 
 def show_page(place: str) -> None:

@@ -4,7 +4,6 @@ Everything is a difference between two models on the same recording: of a proper
 standard error over blocks of time and drivers, and with what chance gives in the same procedure.
 """
 
-import json
 import math
 import time
 from collections.abc import Iterator, Sequence
@@ -36,7 +35,7 @@ from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.sandwich import shared_stds
 from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.progress import OnStage
-from sugiyama_ros.results import Result, bars, plain
+from sugiyama_ros.results import Result, bars, plain, to_json
 from sugiyama_ros.trajectories.tracks import Tracks
 
 if TYPE_CHECKING:
@@ -225,7 +224,7 @@ class Diagnosis(Result):
     def _save_json(self, stream: BinaryIO, _: str) -> None:
         from sugiyama_ros.page.document import document
 
-        stream.write((json.dumps(plain(document(self)), indent=2, allow_nan=False) + "\n").encode())
+        stream.write((to_json(document(self), indent=2) + "\n").encode())
 
 
 def diagnose(

@@ -232,42 +232,25 @@ def _follow(job: tuple[Trajectories, int, str, int]) -> _LearningCurve:
     return _LearningCurve(np.array(logs), np.array(density), (time.perf_counter() - begun) / len(logs))
 
 
-class _Errors(NamedTuple):
-    """Errors of the filters on all simulated drivers.
-
-    For each filter: errors of the logarithms (T, 2), log-likelihoods (T,) and time of a step [s] of each driver. Of the
-    batch fit: errors (N, 2) of the logarithms.
-    """
-
-    error: dict[str, list[Array]]
-    density: dict[str, list[Array]]
-    cost: dict[str, list[float]]
-    batch: Array
-
-
-def _errors(asked: Asked) -> _Errors:
-    """Follow the same simulated drivers with every filter, and fit them all afterwards."""
-    error: dict[str, list[Array]] = {name: [] for name in _FILTERS}
-    density: dict[str, list[Array]] = {name: [] for name in _FILTERS}
-    cost: dict[str, list[float]] = {name: [] for name in _FILTERS}
-    batch = []
-    for drivers, t in jams(_SPREAD, asked.runs, asked.seed, DURATION_S):
-        truth = np.log(drivers[:, list(_PLACES)])
-        for name in _FILTERS:
-            jobs = [(t, i, name, asked.seed) for i in range(CARS)]
-            for i, found in enumerate(asked.work.map(_follow, jobs)):
-                error[name].append(found.logs - truth[i])
-                density[name].append(found.log_likelihood[SETTLING + 2 :])
-                cost[name].append(found.step_s)
-        fits = each_driver(t, Settings(), work=asked.work)
-        batch.append(np.log(fits.rows[:, list(_PLACES)]) - truth)
-    return _Errors(error, density, cost, np.concatenate(batch))
-
-
 def _answer(asked: Asked) -> Answer:
-    """Compare errors of v* and kappa_v over time, log-likelihoods and cost of the filters on the same drivers."""
-    found = _errors(asked)
-    root = {name: np.sqrt(np.mean(np.square(e), axis=0)) for name, e in found.error.items()}
+    """Compare errors of v* and kappa_v over time, log-likelihoods and cost of the filters on the same drivers.
+
+    A fit of all samples, of the same simulated drivers, says what can be known at the end.
+    """
+    curves: dict[str, list[_LearningCurve]] = {name: [] for name in _FILTERS}
+    truths, fits = [], []
+    for drivers, t in jams(_SPREAD, asked.runs, asked.seed, DURATION_S):
+        truths.append(np.log(drivers[:, list(_PLACES)]))
+        for name, several in curves.items():
+            several += asked.work.map(_follow, [(t, i, name, asked.seed) for i in range(CARS)])
+        fits.append(np.log(each_driver(t, Settings(), work=asked.work).rows[:, list(_PLACES)]))
+    truth = np.concatenate(truths)
+
+    def root_mean_square(errors: Array) -> Array:
+        return np.asarray(np.sqrt(np.mean(np.square(errors), axis=0)))
+
+    root = {name: root_mean_square(np.array([one.logs for one in of]) - truth[:, None]) for name, of in curves.items()}
+    ends = root_mean_square(np.concatenate(fits) - truth)
     last = len(next(iter(root.values()))) - 1
     at = [(time_s, min(round(time_s / DURATION_S * last), last)) for time_s in _TIMES_S]
     rows: list[Row] = [
@@ -275,13 +258,12 @@ def _answer(asked: Asked) -> Answer:
             "filter": name,
             **{f"v* {s:g} s [%]": 100.0 * root[name][k, 0] for s, k in at},
             **{f"kappa_v {s:g} s [%]": 100.0 * root[name][k, 1] for s, k in at},
-            "nats per sample": float(np.nanmean(found.density[name])),
-            "ms per step": 1e3 * float(np.median(found.cost[name])),
-            "drivers": len(found.error[name]),
+            "nats per sample": float(np.nanmean([one.log_likelihood[SETTLING + 2 :] for one in of])),
+            "ms per step": 1e3 * float(np.median([one.step_s for one in of])),
+            "drivers": len(of),
         }
-        for name in _FILTERS
+        for name, of in curves.items()
     ]
-    ends = np.sqrt(np.mean(np.square(found.batch), axis=0))
     rows.append({"filter": "batch fit of 250 s", "v* 250 s [%]": 100.0 * ends[0], "kappa_v 250 s [%]": 100.0 * ends[1]})
 
     def draw(figure: Any) -> None:
