@@ -165,13 +165,8 @@ def _source(options: RunOptions) -> "Path | FromSimulator":
         return options.source
     if options.source is not None:
         raise InputError(f"{options.source}: simulated drivers need no file; leave it out, or leave out --simulate")
-    usual = Experiment()
-    experiment = Experiment(
-        ring_m=usual.ring_m if options.ring is None else options.ring,
-        duration_s=options.duration or usual.duration_s,
-        spread=options.spread or usual.spread,
-        seed=options.seed or usual.seed,
-    )
+    given = {"ring_m": options.ring, "duration_s": options.duration, "spread": options.spread, "seed": options.seed}
+    experiment = Experiment(**{name: value for name, value in given.items() if value is not None})  # type: ignore[arg-type]
     vehicles = options.vehicles if options.vehicles is not None else 22
     experiment.check(vehicles)
     changes = dict(read_parameter(text, "--set") for text in options.parameter or ())

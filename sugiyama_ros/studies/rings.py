@@ -12,10 +12,9 @@ from sugiyama_ros.driver.parameters import SIGMA_A, defaults
 from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.driver import SearchOptions, calibrate
-from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.collective import QUEUE_SPEED, Collective, collective
+from sugiyama_ros.simulation.experiment import Experiment, carry_out
 from sugiyama_ros.simulation.result import Simulation
-from sugiyama_ros.simulation.simulator import Clock, Simulator, evenly, platoon, simulate
 from sugiyama_ros.studies.study import Answer, Asked
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
@@ -66,11 +65,16 @@ class _Outcome:
 
 def run(ring: Ring) -> Simulation:
     """Simulate one ring. The cars start from rest."""
-    cars = len(ring.drivers)
-    length, road = np.full(cars, ring.length_m, dtype=np.float64), Road(ring.ring_m)
-    start = platoon(length, ring.jam_gap_m) if ring.jammed else evenly(length, road)
-    rng = np.random.default_rng(ring.seed)
-    return simulate(Simulator(ring.drivers, length, start, road, rng, clock=Clock(ring.period_s)), ring.duration_s)
+    experiment = Experiment(
+        ring.ring_m,
+        ring.duration_s,
+        ring.jam_gap_m,
+        ring.period_s,
+        seed=ring.seed,
+        start="jam" if ring.jammed else "equal",
+        length_m=tuple(np.broadcast_to(ring.length_m, len(ring.drivers)).tolist()),
+    )
+    return carry_out(experiment, ring.drivers)
 
 
 def jams(spread: Mapping[int, float], runs: int, seed: int, duration_s: float) -> Iterator[tuple[Array, Trajectories]]:
