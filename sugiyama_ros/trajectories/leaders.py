@@ -177,6 +177,7 @@ def check_gaps(tracks: Tracks) -> str:
     negative = np.flatnonzero(gap < 0.0)
     if followed == 0 or len(negative) <= MOST_NEGATIVE * followed:
         return ""
+    _check_room(tracks)
     row = int(negative[np.argmin(gap[negative])])
     said = (
         f"{100.0 * len(negative) / followed:.3g} % of the gaps are below zero, as"
@@ -186,6 +187,19 @@ def check_gaps(tracks: Tracks) -> str:
     if tracks.about.view == "whole" and tracks.lane is None:
         return f"warning: {said}"
     raise InputError(f"{tracks.about.source or 'tracks'}: {said}")
+
+
+def _check_room(tracks: Tracks) -> None:
+    """Raise InputError for a ring that is shorter than the vehicles on it."""
+    (place, there), tick = _places(tracks), ticks(tracks.time_s)
+    _, moment = np.unique((place * (int(tick.max(initial=0)) + 1) + tick)[there], return_inverse=True)
+    length_m = np.bincount(moment, tracks.length_m[there])
+    if 0.0 < tracks.about.ring_m < length_m.max(initial=0.0):
+        vehicles = int(np.sum(moment == np.argmax(length_m)))
+        raise InputError(
+            f"{tracks.about.source or 'tracks'}: {vehicles} vehicles of {length_m.max():.0f} m in all do not fit on a"
+            f" ring of {tracks.about.ring_m:g} m; give its circumference with --ring, or their lengths (length_m)"
+        )
 
 
 def _cure(tracks: Tracks, gap: Array, followed: int) -> str:

@@ -72,12 +72,6 @@ class Trajectories(Result):
             raise InputError(f"{self.source or 'trajectories'}: a vehicle's number occurs twice")
         if not (np.all(np.isfinite(self.length_m)) and np.all(self.length_m >= 0.0)):
             raise InputError(f"{self.source or 'trajectories'}: a vehicle's length is negative or not a number")
-        ring_m = self.road.circumference_m
-        if self.road.is_ring and self.length_m.sum() > ring_m and (self.present @ self.length_m).max() > ring_m:
-            raise InputError(
-                f"{self.source or 'trajectories'}: {vehicles} vehicles of {self.length_m.sum():.0f} m in all do not fit"
-                f" on a ring of {ring_m:g} m; give its circumference with --ring, or the vehicles' lengths (length_m)"
-            )
 
     def headline(self) -> str:
         """Say how many vehicles there are, for how long, and on what road."""
