@@ -32,67 +32,61 @@ class Log:
 
 
 class Status(NamedTuple):
-    """Where the recording is.
+    """Where the recording is."""
 
-    source: file or model that the positions come from; empty before the road is known; time_s, total_s: time of the
-    last sample since the first one, and duration of the recording [s]; 0 without a known end; real_rate: rate at which
-    samples arrive, in times real time; naN before it is known; silent_s: time [s] since the last sample; naN before the
-    first one; ended: whether the last sample of the recording has arrived; domain: number of the ROS domain; recording:
-    file to which the topics are written; empty where nothing is written.
-    """
-
+    #: File or model that the positions come from; empty before the road is known.
     source: str
+    #: Time [s] of the last sample since the first one, and duration of the recording; 0 without a known end.
     time_s: float
     total_s: float
+    #: Rate at which samples arrive, in times real time, and time [s] since the last one; NaN where not known.
     real_rate: float
     silent_s: float
+    #: Whether the last sample of the recording has arrived.
     ended: bool
+    #: Number of the ROS domain, and file to which the topics are written; empty where nothing is written.
     domain: str
     recording: str
 
 
 class Feed(Protocol):
-    """What the page shows, and what its buttons do.
-
-    road: the road; rate: rate of the replay that was asked for, in times real time; 0 is as fast as the nodes take it;
-    vehicles: numbers of the vehicles that have been seen; empty before the first sample; best: model that the critic
-    finds most probable; empty without a critic; gains: gain of each model of the critic over the base model [nats], by
-    name; empty without a critic; now: position [m] and speed [m/s] of each vehicle that is on the road; lanes: number
-    of the lane of each vehicle whose lane is known; here, led: vehicles in the latest sample, and vehicles that have
-    had a leader; followers: vehicles of whose drivers something is learnt; who follows nobody is not among them;
-    adapted: v*, its std [m/s], kappa_v and its std [s] of each driver, as last published; effects: effects that can be
-    added, each with its explanation; titles: names for people of all effects; added: effects that were added;
-    changed_s: times [s] at which an effect was added or removed; events: latest events, the newest one first; said:
-    last answer of a node; space: time [s], position [m] and speed [m/s] of every vehicle at every sample; error: time
-    [s], one-step error [m] of all drivers over the last ``MOVING_S`` seconds, and of the base model; is_settled:
-    whether the critic's probabilities have been stable for a while; critic: for each model that the critic has had, a
-    Log of time [s] and gain [nats]; driver: for each vehicle a Log of time [s], speed and its std [m/s], innovation and
-    its std [m], and the measured position [m]; learnt: for each vehicle a Log of time [s], v* and its std [m/s],
-    kappa_v and its std [s].
-    """
+    """What the page shows, and what its buttons do."""
 
     road: Road
+    #: Rate of the replay that was asked for, in times real time; 0 is as fast as the nodes take it.
     rate: float
+    #: Numbers of the vehicles that have been seen; empty before the first sample.
     vehicles: list[int]
+    #: Model that the critic finds most probable, and gain of each of its models over the base model [nats].
     best: str
     gains: dict[str, float]
+    #: Position [m] and speed [m/s] of each vehicle on the road, and the lane of each whose lane is known.
     now: dict[int, tuple[float, float]]
     lanes: dict[int, int]
+    #: Vehicles in the latest sample, those that have had a leader, and those of whose drivers something is learnt.
     here: set[int]
     led: set[int]
     followers: set[int]
+    #: v*, its std [m/s], kappa_v and its std [s] of each driver, as last published.
     adapted: dict[int, tuple[float, float, float, float]]
+    #: Effects that can be added, each with its explanation; names for people of all effects; those that were added.
     effects: dict[str, str]
     titles: dict[str, str]
     added: list[str]
+    #: Times [s] at which an effect was added or removed; latest events, the newest first; last answer of a node.
     changed_s: list[float]
     events: deque[str]
     said: str
+    #: Time [s], position [m] and speed [m/s] of every vehicle at every sample.
     space: Log
+    #: Time [s], one-step error [m] of all drivers over the last ``MOVING_S`` seconds, and that of the base model.
     error: Log
+    #: Whether the critic's probabilities have been stable for a while; time [s] and gain [nats] of each of its models.
     is_settled: bool
     critic: dict[str, Log]
+    #: Time [s], speed and its std [m/s], innovation and its std [m], and measured position [m] of each vehicle.
     driver: dict[int, Log]
+    #: Time [s], v* and its std [m/s], kappa_v and its std [s] of each vehicle.
     learnt: dict[int, Log]
 
     def status(self) -> Status:

@@ -15,7 +15,6 @@ from bokeh.models import (
     DataRange1d,
     Div,
     GlobalInlineStyleSheet,
-    HoverTool,
     Select,
     Span,
     TapTool,
@@ -25,37 +24,42 @@ from bokeh.models import (
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.page.feed import KEPT, Feed, Log, Status
-from sugiyama_ros.page.names import distances
+from sugiyama_ros.page.names import distances, parameter_title, spaced
+from sugiyama_ros.page.panels import drivers
 from sugiyama_ros.page.panels.base import (
-    BLUE,
     COLOURS,
     GREY,
     INPUT,
     MOVING_S,
-    ORANGE,
     VERMILION,
+    cars,
     colour_bar,
     from_above,
     legend_above,
     panel,
     speed_colours,
-    widen,
 )
 from sugiyama_ros.page.recording import name_of
 from sugiyama_ros.page.style import CARD, PAGE, REPAINT
 from sugiyama_ros.page.words import WHY, may_be_chance
 from sugiyama_ros.trajectories.desired_speed import known_only
 
-#: Time [s] between two updates of the road, and between two updates of the curves.
-UPDATE_S, TELL_S = 0.1, 0.5
-_V_STAR = ("Chosen: desired speed v*", "Chosen: v* is not known from these data")
+# Time [s] between two updates of the road, and between two updates of the curves.
+_UPDATE_S, _TELL_S = 0.1, 0.5
+_PARAMETERS = ("v_star", "kappa_v")
+_NOT_KNOWN = "v* is not known from these data"
 # Where the cars' numbers stand: radius over that of the ring, or offset [px] from a straight road.
 _OUTSIDE, _ABOVE_PX = 1.14, -14
+# Columns of the logs of a driver.
 _COLUMNS = ("time", "speed", "std", "innovation", "spread", "place")
 _LEARNT = ("time", "v_star", "v_star_std", "kappa_v", "kappa_v_std")
-#: What the list of rates calls the fastest rate, which is 0.
+# What the list of rates calls the fastest rate, which is 0.
 _FASTEST = "max"
 _WIDE = {"sizing_mode": "stretch_width"}
+# Models of the critic that are drawn.
+_MODELS = 5
+# Time [s] without a sample after which the source counts as silent.
+_SILENT_S = 3.0
 
 
 def page(feed: Feed) -> Callable[[Document], None]:
@@ -69,21 +73,18 @@ class _Page:
         self._watched = -1
         self._own_choice: int | None = None  # the page's, until the reader chooses
         self._seen: dict[Log, int] = {}
-        self._space = ColumnDataSource({"time": [], "place": [], "speed": []})
-        self._error = ColumnDataSource({"time": [], "error": [], "base": []})
-        columns = ("x", "y", "speed", "vehicle", "number_x", "number_y", "above")
-        self._road = ColumnDataSource({name: [] for name in columns})
-        self._lines, self._lines_drawn = ColumnDataSource({"xs": [], "ys": []}), (math.nan,)
-        self._adapted = ColumnDataSource({"vehicle": [], "v_star": [], "kappa_v": []})
-        derived = ("low", "high", "below", "above", "measured")
-        self._driver = ColumnDataSource({name: [] for name in (*_COLUMNS, *derived)})
-        self._learnt = ColumnDataSource({name: [] for name in (*_LEARNT, "v_low", "v_high", "k_low", "k_high")})
+        self._space, self._error = _source("time", "place", "speed"), _source("time", "error", "base")
+        self._road = _source("x", "y", "speed", "vehicle", "number_x", "number_y", "above")
+        self._lines, self._lines_drawn = _source("xs", "ys"), (math.nan,)
+        self._adapted = _source("vehicle", *_PARAMETERS)
+        self._driver = _source(*_COLUMNS, "low", "high", "below", "above", "measured")
+        self._learnt = _source(*_LEARNT, *(f"{name}_{end}" for name in _PARAMETERS for end in ("low", "high")))
         self._last = (math.nan, math.nan)
-        self._critic = CriticPanel(feed, self._new)
+        self._critic = _Critic(feed, self._new)
         self._colours = speed_colours(1.0)
         self._select = Select(title="driver", options=[], width=110, stylesheets=[INPUT])
         self._effect = Select(
-            title="effect", options=[(name, title(feed, name)) for name in feed.effects],
+            title="effect", options=[(name, _title(feed, name)) for name in feed.effects],
             value=next(iter(feed.effects)), width=200, stylesheets=[INPUT],
         )  # fmt: skip
         self._values = TextInput(title="strength", width=140, stylesheets=[INPUT])
@@ -102,8 +103,8 @@ class _Page:
         document.js_on_event("document_ready", CustomJS(code=REPAINT))
         self._choose_effect()
         self._tell()
-        document.add_periodic_callback(self._update, round(1000 * UPDATE_S))
-        document.add_periodic_callback(self._tell, round(1000 * TELL_S))
+        document.add_periodic_callback(self._update, round(1000 * _UPDATE_S))
+        document.add_periodic_callback(self._tell, round(1000 * _TELL_S))
 
     def _layout(self) -> Any:
         self._controls = self._buttons()
@@ -115,8 +116,9 @@ class _Page:
             y_range=DataRange1d(start=0.0),
         )
         self._empty["error"] = error
-        wide = {"line_width": 6, "line_alpha": 0.5}  # where both are equal, both are seen
-        error.line("time", "base", source=self._error, color=GREY, legend_label="base model", **wide)
+        # where both are equal, both are seen
+        error.line("time", "base", source=self._error, color=GREY, line_width=6, line_alpha=0.5,
+                   legend_label="base model")  # fmt: skip
         error.line("time", "error", source=self._error, color=VERMILION, line_width=2, legend_label="the estimators")
         legend_above(error)
         return column(
@@ -135,19 +137,16 @@ class _Page:
 
     def _everybody(self) -> tuple[Any, Any]:
         """All vehicles: over time and place, and on the road."""
-        colour = {"field": "speed", "transform": self._colours}
         space = panel("Where everybody is, and how fast", "time [s]", "position [m]")
-        space.scatter("time", "place", source=self._space, size=2, color=colour)
+        space.scatter("time", "place", source=self._space, size=2,
+                      color={"field": "speed", "transform": self._colours})  # fmt: skip
         colour_bar(space, self._colours, "speed [m/s]")
         road = panel("The road from above: click a car", "x [m]", "y [m]", match_aspect=True,
                      x_range=DataRange1d(range_padding=0.2))  # fmt: skip
         self._plots["road"] = road
         self._empty |= {"space": space, "road": road}
         road.multi_line("xs", "ys", source=self._lines, color=GREY, line_alpha=0.5)
-        road.scatter(
-            "x", "y", source=self._road, size=14, line_color=GREY, fill_color=colour, nonselection_fill_alpha=1.0,
-            nonselection_line_alpha=1.0, selection_line_color=VERMILION, selection_line_width=3,
-        )  # fmt: skip
+        cars(road, self._road, self._colours)
         road.text("number_x", "number_y", text="vehicle", source=self._road, text_font_size="10px", text_color=GREY,
                   text_align="center", text_baseline="middle", y_offset="above",
                   nonselection_text_alpha=1.0)  # fmt: skip
@@ -157,36 +156,19 @@ class _Page:
 
     def _adaptation(self) -> list[Any]:
         """What the estimators have learnt: of the chosen driver over time, and of all drivers now."""
-        found = []
-        for name, label, low, high in (
-            ("v_star", "desired speed v* [m/s]", "v_low", "v_high"),
-            ("kappa_v", "risk premium κ_v [s]", "k_low", "k_high"),
-        ):
-            plot = panel(f"Chosen: {label.split(' [')[0]}", "time [s]", label)
-            plot.varea("time", low, high, source=self._learnt, color=BLUE, alpha=0.3)
-            plot.line("time", name, source=self._learnt, color=BLUE, line_width=2)
-            found.append(plot)
-            self._plots[name] = self._empty[name] = plot
-        strip = panel("All drivers now: click one", "desired speed v* [m/s]", "risk premium κ_v [s]",
-                      x_range=DataRange1d(default_span=1.0), y_range=DataRange1d(default_span=0.1))  # fmt: skip
-        dots = strip.scatter("v_star", "kappa_v", source=self._adapted, size=9, color=BLUE, nonselection_alpha=0.8,
-                             selection_color=VERMILION)  # fmt: skip
-        self._empty["strip"] = strip
-        strip.add_tools(TapTool(), HoverTool(renderers=[dots], tooltips=[("vehicle", "@vehicle")]))
+        found = {name: drivers.learnt(self._learnt, name) for name in _PARAMETERS}
+        spans = {"x_range": DataRange1d(default_span=1.0), "y_range": DataRange1d(default_span=0.1)}
+        strip = drivers.each(self._adapted, _PARAMETERS, "All drivers now: click one", **spans)
+        strip.add_tools(TapTool())
         self._adapted.selected.on_change("indices", lambda _, __, new: self._click(self._adapted, new))
-        return [*found, strip]
+        self._plots |= found
+        self._empty |= {**found, "strip": strip}
+        return [*found.values(), strip]
 
-    def _one_driver(self) -> tuple[Any, Any]:
-        speed = panel("Chosen: speed, ± one deviation", "time [s]", "speed [m/s]")
-        speed.scatter("time", "measured", source=self._driver, color=GREY, size=3, legend_label="from two positions")
-        speed.varea("time", "low", "high", source=self._driver, color=BLUE, alpha=0.3)
-        speed.line("time", "speed", source=self._driver, color=BLUE, line_width=2, legend_label="filtered")
-        legend_above(speed)
-        innovation = panel("Chosen: error, ± two deviations", "time [s]", "error [m]")
-        innovation.varea("time", "below", "above", source=self._driver, color=ORANGE, alpha=0.3)
-        innovation.line("time", "innovation", source=self._driver, color=VERMILION)
-        self._empty |= {"speed": speed, "innovation": innovation}
-        return speed, innovation
+    def _one_driver(self) -> list[Any]:
+        found = {"speed": drivers.speed(self._driver), "innovation": drivers.error(self._driver)}
+        self._empty |= found
+        return list(found.values())
 
     def _buttons(self) -> Any:
         rates = [*sorted({1.0, 2.0, 4.0, 8.0, self._feed.rate} - {0.0}), 0.0]
@@ -250,7 +232,7 @@ class _Page:
                 "number_y": away * y, "above": np.full(len(x), above),
             }  # fmt: skip
             if (fastest := float(np.nan_to_num(speed).max())) > self._colours.high:  # NaN: not known yet
-                widen(self._colours, fastest)
+                self._colours.high = float(2.0 * math.ceil(fastest / 2.0))  # in steps, so that it rarely changes
             self._show("road")
 
     def _draw_road(self, lanes: Array) -> None:
@@ -304,7 +286,7 @@ class _Page:
                 errors = distances(error[-1], base[-1])
                 shown = f"{time[-1]:.0f} s: one-step error over {MOVING_S:g} s {errors[0]}"
                 shown += f", base model {errors[1]}; " if math.isfinite(base[-1]) else "; "
-            added = ", ".join(title(feed, name) for name in feed.added) or "none"
+            added = ", ".join(_title(feed, name) for name in feed.added) or "none"
             self._said.text = f"{shown}effects added: {added}. {escape(feed.said)}"
         self._events.text = "<b>Events</b><br>" + ("<br>".join(map(escape, feed.events)) or "none yet")
 
@@ -317,16 +299,13 @@ class _Page:
     def _learnt_of_driver(self, new: Array) -> dict[str, Array]:
         """Columns of what was learnt of the chosen driver, with the ends of the bands."""
         of = dict(zip(_LEARNT, new, strict=True))
+        was_known = np.isfinite(of["v_star"][-1])
         of["v_star"], of["v_star_std"] = known_only(of["v_star"], of["v_star_std"], self._colours.high)
-        is_beyond = np.isfinite(new[_LEARNT.index("v_star"), -1]) and np.isnan(of["v_star"][-1])
-        self._plots["v_star"].title.text = _V_STAR[bool(is_beyond)]
-        return {
-            **of,
-            "v_low": of["v_star"] - of["v_star_std"],
-            "v_high": of["v_star"] + of["v_star_std"],
-            "k_low": of["kappa_v"] - of["kappa_v_std"],
-            "k_high": of["kappa_v"] + of["kappa_v_std"],
-        }
+        is_beyond = was_known and np.isnan(of["v_star"][-1])
+        self._plots["v_star"].title.text = _NOT_KNOWN if is_beyond else f"Learnt: {parameter_title('v_star')}"
+        for name in _PARAMETERS:
+            of[f"{name}_low"], of[f"{name}_high"] = of[name] - of[f"{name}_std"], of[name] + of[f"{name}_std"]
+        return of
 
     def _of_driver(self, new: Array) -> dict[str, Array]:
         """Columns of the chosen driver with the ends of the bands, and speeds from two positions."""
@@ -346,11 +325,12 @@ class _Page:
         }
 
 
-# Models that are drawn.
-_MODELS = 5
+def _source(*names: str) -> ColumnDataSource:
+    """A source without rows."""
+    return ColumnDataSource({name: [] for name in names})
 
 
-class CriticPanel:
+class _Critic:
     """The picture ``plot``, which appears once the critic has spoken, and the words ``text``.
 
     feed: what the page shows; new: log -> its columns (columns, rows) that the page has not shown yet.
@@ -376,7 +356,7 @@ class CriticPanel:
         # what is added to the estimators is a model of the critic no longer
         for name, log in feed.critic.items():
             if name not in self._sources:
-                self._sources[name] = source = ColumnDataSource({"time": [], "gain": []})
+                self._sources[name] = source = _source("time", "gain")
                 self.plot.line("time", "gain", source=source, color=self._colour(name), line_width=2, name=name)
             if len(new := self._new(log)):
                 self._sources[name].stream(dict(zip(("time", "gain"), new, strict=True)), KEPT)
@@ -385,11 +365,11 @@ class CriticPanel:
             line.visible = line.name in (*order[:_MODELS], "base")
         settled = "settled among the models that this critic knows" if feed.is_settled else "not settled yet"
         names = ", ".join(
-            f'<b style="color:{self._colour(name)}">{escape(title(feed, name))}</b> {feed.gains[name]:+.0f}'
+            f'<b style="color:{self._colour(name)}">{escape(_title(feed, name))}</b> {feed.gains[name]:+.0f}'
             for name in order[:_MODELS]
         )
         # the critic's own words: which model is best, and whether that has settled, is in its message
-        best, lead = escape(title(feed, feed.best)), feed.gains.get(feed.best, 0.0)
+        best, lead = escape(_title(feed, feed.best)), feed.gains.get(feed.best, 0.0)
         only = f" by {lead:.0f} nats only, which may be chance" if may_be_chance(feed.best, lead) else ""
         gains = f"Gains over the base model: {names} nats."
         self.text.text = f"The critic is {settled}: {best} leads{only}. {gains}{self._not_known()}"
@@ -402,18 +382,14 @@ class CriticPanel:
     def _not_known(self) -> str:
         """Say why a diagnosis may find something else, and which effects the critic does not follow."""
         known = {*self._feed.gains, *self._feed.added}
-        missing = [title(self._feed, name) for name in self._feed.effects if name not in known]
+        missing = [_title(self._feed, name) for name in self._feed.effects if name not in known]
         names = f" It does not know {', '.join(missing)}." if missing else ""
         return f"<br>This is no verdict: {WHY} (<code>sugiyama diagnose</code>).{escape(names)}"
 
 
-def title(feed: Feed, name: str) -> str:
+def _title(feed: Feed, name: str) -> str:
     """Name for people of an effect, or of a model of the critic, as in the report."""
-    return "the base model" if name == "base" else feed.titles.get(name, name.replace("_", " "))
-
-
-# Time [s] without a sample after which the source counts as silent.
-_SILENT_S = 3.0
+    return "the base model" if name == "base" else feed.titles.get(name, spaced(name))
 
 
 def status_line(status: Status, feed: Feed) -> str:

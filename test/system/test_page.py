@@ -144,10 +144,10 @@ def test_the_live_page_says_that_a_desired_speed_is_not_known():
         callback.callback()
     for callback in document.session_callbacks:
         callback.callback()
-    (source,) = [s for s in document.select({"type": ColumnDataSource}) if "v_low" in s.data]
+    (source,) = [s for s in document.select({"type": ColumnDataSource}) if "v_star_low" in s.data]
     assert np.isnan(source.data["v_star"][-1])
     titles = {plot.title.text for plot in document.select({"type": Plot})}
-    assert "Chosen: v* is not known from these data" in titles
+    assert "v* is not known from these data" in titles
 
 
 def test_what_the_data_would_have_shown_is_said_with_its_direction():

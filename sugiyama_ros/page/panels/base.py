@@ -4,7 +4,6 @@ and the driver who is chosen.
 Lines of the axes are of a grey that can be seen on white and on black. The style sheets give the colours of the text.
 """
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -85,11 +84,6 @@ def speed_colours(fastest: float) -> LinearColorMapper:
     return LinearColorMapper(Cividis256, low=0.0, high=max(fastest, 1.0), nan_color=EMPTY)
 
 
-def widen(colours: LinearColorMapper, fastest: float) -> None:
-    """Let the colours reach the fastest car that was seen; they move in steps, so that they rarely change."""
-    colours.high = float(2.0 * math.ceil(fastest / 2.0))
-
-
 def colour_bar(plot: Any, colours: LinearColorMapper, title: str) -> None:
     """Add a bar that explains the colours."""
     plot.add_layout(
@@ -121,6 +115,13 @@ def from_above(road: Road, position_m: Array, lane: Array | float = 0.0) -> tupl
         return position_m, np.array(aside, dtype=np.float64)
     radius = road.circumference_m / (2.0 * np.pi) + aside
     return radius * np.cos(position_m / radius), radius * np.sin(position_m / radius)
+
+
+def cars(plot: Any, source: ColumnDataSource, colours: LinearColorMapper) -> None:
+    """Draw the cars of a road, which is seen from above. Columns: x, y, speed."""
+    plot.scatter("x", "y", source=source, size=13, line_color=GREY, fill_color={"field": "speed", "transform": colours},
+                 nonselection_fill_alpha=1.0, nonselection_line_alpha=1.0, selection_line_color=VERMILION,
+                 selection_line_width=3)  # fmt: skip
 
 
 def legend_above(plot: Any) -> None:

@@ -3,7 +3,7 @@ detail. The report and the live page draw the chosen driver alike.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -54,22 +54,22 @@ def error(source: ColumnDataSource, **ranges: Any) -> Any:
     return plot
 
 
-def learnt(source: ColumnDataSource, name: str) -> Any:
+def learnt(source: ColumnDataSource, name: str, **more: Any) -> Any:
     """A parameter of the chosen driver as it was learnt. Columns: time, and ``name`` with _low and _high."""
     plot = panel(f"Learnt: {parameter_title(name)}", "time [s]", parameter_title(name, with_unit=True))
     plot.varea("time", f"{name}_low", f"{name}_high", source=source, color=CHOSEN, alpha=0.25)
-    plot.line("time", name, source=source, color=CHOSEN, line_width=2.5, legend_label="the chosen driver")
+    plot.line("time", name, source=source, color=CHOSEN, line_width=2.5, **more)
     return plot
 
 
-def each(source: ColumnDataSource, names: list[str], title: str, **more: Any) -> tuple[Any, Any]:
-    """Two parameters of all drivers against each other, and the dots. Columns: ``names``, vehicle."""
+def each(source: ColumnDataSource, names: Sequence[str], title: str, **more: Any) -> Any:
+    """Two parameters of all drivers against each other. Columns: ``names``, vehicle."""
     x, y = names
     plot = panel(title, *(parameter_title(name, with_unit=True) for name in names), **more)
     dots = plot.scatter(x, y, source=source, size=9, color=BLUE, nonselection_alpha=0.8, selection_color=CHOSEN)
     shown = [(parameter_title(name), f"@{{{name}}}{{0.000}} {unit_of(name)}") for name in names]
     plot.add_tools(HoverTool(renderers=[dots], tooltips=[("vehicle", "@vehicle"), *shown]))
-    return plot, dots
+    return plot
 
 
 def against_each_other(r: Recording, diagnosis: Mapping[str, Any] | None, chosen: Chosen) -> list[UIElement]:
@@ -88,7 +88,7 @@ def against_each_other(r: Recording, diagnosis: Mapping[str, Any] | None, chosen
         value, std = _known(r, name, *of)
         columns |= {name: value, f"{name}_low": value - std, f"{name}_high": value + std}
     source, (x, y) = ColumnDataSource(columns), names
-    plot, _ = each(source, names, f"The drivers, {'as fitted' if fitted else 'at the end of the run'}, ± one deviation")
+    plot = each(source, names, f"The drivers, {'as fitted' if fitted else 'at the end of the run'}, ± one deviation")
     for bar in ((f"{x}_low", y, f"{x}_high", y), (x, f"{y}_low", x, f"{y}_high")):
         plot.segment(*bar, source=source, color=GREY, line_width=1, nonselection_alpha=0.6, level="underlay")
     known = [r.truth[v] for v in vehicles if set(names) <= set(r.truth.get(v, {}))]
@@ -128,7 +128,7 @@ def over_time(r: Recording, name: str, chosen: Chosen) -> UIElement:
            f"{name}_low": (value - std)[::every], f"{name}_high": (value + std)[::every],
            "change": _changes(r, name)[::every], "truth": np.broadcast_to(_truth(r, name), thin.shape)}
     )  # fmt: skip
-    plot = learnt(shown, name)
+    plot = learnt(shown, name, legend_label="the chosen driver")
     time = r.time_s[::every].astype(SINGLE)
     plot.multi_line([time] * thin.shape[1], [v.astype(SINGLE) for v in thin.T], color=GREY, line_alpha=0.45,
                     legend_label="all drivers", level="underlay")  # fmt: skip

@@ -3,7 +3,7 @@
 from base64 import b64encode
 from collections.abc import Mapping
 from io import BytesIO
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from bokeh.layouts import column, row
@@ -13,7 +13,6 @@ from bokeh.models import (
     CustomJS,
     DataRange1d,
     HoverTool,
-    LinearColorMapper,
     Slider,
     Span,
     UIElement,
@@ -29,8 +28,8 @@ from sugiyama_ros.page.panels.base import (
     GREY,
     ORANGE,
     SINGLE,
-    VERMILION,
     Chosen,
+    cars,
     colour_bar,
     from_above,
     legend_above,
@@ -86,9 +85,7 @@ def ring(r: Recording, chosen: Chosen) -> UIElement:
             color=GREY,
             line_alpha=0.5,
         )
-    colour = {"field": "speed", "transform": speed_colours(fastest(r))}
-    plot.scatter("x", "y", source=shown, size=12, line_color=GREY, fill_color=colour, nonselection_fill_alpha=1.0,
-                 nonselection_line_alpha=1.0, selection_line_color=VERMILION, selection_line_width=3)  # fmt: skip
+    cars(plot, shown, speed_colours(fastest(r)))
     chosen.points(plot, shown, list(range(len(t.vehicle))))
     plot.add_tools(HoverTool(tooltips=[("vehicle", "@vehicle"), ("speed", "@speed{0.0} m/s")]))
     step_s = t.period_s * every
@@ -150,16 +147,15 @@ def fastest(r: Recording) -> float:
 
 def speeds(r: Recording) -> Array:
     """Speeds (T, N) [m/s]: filtered speeds if estimators have run, else speeds from positions."""
-    return r.series["speed"] if r.has_estimates else naive_speeds(r)
+    return r.series["speed"] if r.has_estimates else _naive_speeds(r)
 
 
-def naive_speeds(r: Recording) -> Array:
+def _naive_speeds(r: Recording) -> Array:
     """Speeds (T, N) [m/s] from differences of measured positions, smoothed over 5 samples."""
-    speed = two_point_speeds(r)
-    known = np.isfinite(speed)
-    number, summed = (_moving_sum(a) for a in (known.astype(np.float64), np.where(known, speed, 0.0)))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.where(number > 0.0, summed / number, np.nan), dtype=np.float64)
+    padded = np.pad(two_point_speeds(r), ((2, 2), (0, 0)), constant_values=np.nan)
+    around = np.lib.stride_tricks.sliding_window_view(padded, 5, axis=0)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.nansum(around, axis=-1) / np.isfinite(around).sum(axis=-1))
 
 
 def two_point_speeds(r: Recording) -> Array:
@@ -168,11 +164,6 @@ def two_point_speeds(r: Recording) -> Array:
     speed = np.full_like(t.position_m, np.nan)
     speed[:-1] = t.road.difference(t.position_m[1:], t.position_m[:-1]) / t.period_s
     return speed
-
-
-def _moving_sum(values: Array) -> Array:
-    """Sum (T, N) over 5 samples."""
-    return np.asarray(np.apply_along_axis(np.convolve, 0, values, np.ones(5), mode="same"), dtype=np.float64)
 
 
 # Number of points of one diagram, at most.
@@ -184,49 +175,34 @@ def space_time(r: Recording, chosen: Chosen) -> UIElement:
     every = max(1, -(-r.trajectories.position_m.size // _POINTS))
     place, speed = places(r)[::every], speeds(r)[::every]
     time = np.broadcast_to(r.time_s[::every, None], place.shape)
-    drawn = np.isfinite(np.diff(place, axis=0)) & ~_jumps(place, r.trajectories.road)
-    title = "Simulated" if r.is_simulated else "Measured"
-    plot, source = _diagram(title, _Seen(time, place, speed, drawn, frame_mps(r)), speed_colours(fastest(r)))
+    plot, source, drawn = _diagram(r, "Simulated" if r.is_simulated else "Measured", (time, place, speed))
     chosen.points(plot, source, np.broadcast_to(np.arange(place.shape[1]), drawn.shape)[drawn].tolist())
     line = place.copy()
     line[1:][_jumps(place, r.trajectories.road)] = np.nan
-    line = chosen.series(time=time, position=_relative(line, time, frame_mps(r)))
-    plot.line("time", "position", source=line, color=CHOSEN, line_width=2)
+    shown = chosen.series(time=time, position=line - frame_mps(r) * time)
+    plot.line("time", "position", source=shown, color=CHOSEN, line_width=2)
     return plot
 
 
-def simulated(r: Recording, diagnosis: Mapping[str, Any], measured_plot: Any) -> list[UIElement]:
+def simulated(r: Recording, diagnosis: Mapping[str, Any], beside: Any) -> list[UIElement]:
     """The same road, driven by the model before and after the additions; it starts anew in each block of time."""
     run = diagnosis.get("free_run")
     if not run or not run["time_s"]:  # tracks have no road on which all cars could drive
         return []
-    colours = speed_colours(fastest(r))
-    time_s, block = np.array(run["time_s"], dtype=np.float64), np.array(run["block"])
-    starts = time_s[1:][np.diff(block) > 0]
+    time_s, begins = np.array(run["time_s"], dtype=np.float64), np.diff(run["block"]) > 0
     found = []
-    names = [("before", "The model drives, before"), ("after", "The model drives, with what was added")]
-    for name, title in names if diagnosis["verdict"]["effects"] else [("before", "The model drives")]:
+    names = {"before": "The model drives, before", "after": "The model drives, with what was added"}
+    for name, title in names.items() if diagnosis["verdict"]["effects"] else [("before", "The model drives")]:
         place = np.array(run[name], dtype=np.float64)
-        speed = speeds_of_run(r.trajectories.road, time_s, block, place)
+        speed = np.full_like(place, np.nan)
+        speed[:-1] = r.trajectories.road.difference(place[1:], place[:-1]) / np.diff(time_s)[:, None]
         time = np.broadcast_to(time_s[:, None], place.shape)
-        drawn = np.isfinite(np.diff(place, axis=0)) & ~_jumps(place, r.trajectories.road)
-        drawn &= (np.diff(block) == 0)[:, None]
-        ranges = {"x_range": measured_plot.x_range, "y_range": measured_plot.y_range}
-        plot, _ = _diagram(title, _Seen(time, place, speed, drawn, frame_mps(r)), colours, **ranges)
-        for start in starts.tolist():
+        ranges = {"x_range": beside.x_range, "y_range": beside.y_range}
+        plot, *_ = _diagram(r, title, (time, place, speed), begins, **ranges)
+        for start in time_s[1:][begins].tolist():
             plot.add_layout(Span(location=start, dimension="height", line_color=GREY, line_dash="dotted"))
         found.append(plot)
     return found
-
-
-def speeds_of_run(road: Road, time_s: Array, block: Array, place: Array) -> Array:
-    """Speeds (T, N) [m/s] from differences of positions inside the blocks."""
-    speed = np.full_like(place, np.nan)
-    speed[:-1] = road.difference(place[1:], place[:-1]) / np.diff(time_s)[:, None]
-    last = np.flatnonzero(np.diff(block) > 0)
-    for k in (*last.tolist(), len(place) - 1):
-        speed[k] = speed[k - 1]
-    return speed
 
 
 def _jumps(place: Array, road: Road) -> Mask:
@@ -234,36 +210,30 @@ def _jumps(place: Array, road: Road) -> Mask:
     return np.asarray(np.abs(np.diff(place, axis=0)) > (0.5 * road.circumference_m if road.is_ring else np.inf))
 
 
-class _Seen(NamedTuple):
-    """Times, places and speeds (T, N); from which samples (T - 1, N) a line goes on; the observer's speed [m/s]."""
+def _diagram(
+    r: Recording, title: str, seen: tuple[Array, Array, Array], begins: Mask | bool = False, **ranges: Any
+) -> tuple[Any, ColumnDataSource, Mask]:
+    """A line from each sample to the next one, as an observer sees them who drives along with a platoon.
 
-    time: Array
-    place: Array
-    speed: Array
-    drawn: Mask
-    frame: int
-
-
-def _relative(place: Array, time: Array, frame: int) -> Array:
-    """Places as an observer sees them who is at 0 m at time 0."""
-    return place - frame * time
-
-
-def _diagram(title: str, seen: _Seen, colours: LinearColorMapper, **ranges: Any) -> tuple[Any, ColumnDataSource]:
-    """A line from each sample to the next one."""
-    time, place = seen.time, _relative(seen.place, seen.time, seen.frame)
-    ends = {"time": time[:-1], "position": place[:-1], "speed": seen.speed[:-1], "later": time[1:], "on": place[1:]}
-    source = ColumnDataSource({name: values[seen.drawn].astype(SINGLE) for name, values in ends.items()})
-    label = f"position - {seen.frame} m/s × time [m]" if seen.frame else "position [m]"
-    plot = panel(title, "time [s]", label, **ranges)
+    seen: times [s], places [m] and speeds [m/s] (T, N); begins: (T - 1,), whether a line ends before the next sample.
+    Returns the plot, the source, and which lines (T - 1, N) are drawn.
+    """
+    time, place, speed = seen
+    drawn = np.isfinite(np.diff(place, axis=0)) & ~_jumps(place, r.trajectories.road) & ~np.atleast_1d(begins)[:, None]
+    frame, colours = frame_mps(r), speed_colours(fastest(r))
+    place = place - frame * time
+    ends = {"time": time[:-1], "position": place[:-1], "speed": speed[:-1], "later": time[1:], "on": place[1:]}
+    source = ColumnDataSource({name: values[drawn].astype(SINGLE) for name, values in ends.items()})
+    plot = panel(title, "time [s]", f"position - {frame} m/s × time [m]" if frame else "position [m]", **ranges)
     colour = {"field": "speed", "transform": colours}
     plot.segment("time", "position", "later", "on", source=source, line_width=2.5, line_color=colour,
                  nonselection_line_alpha=1.0)  # fmt: skip
     colour_bar(plot, colours, "speed [m/s]")
-    return plot, source
+    return plot, source, drawn
 
 
-_WIDTH, _HEIGHT = 150, 50
+# Columns and rows of the small picture, and samples that a cell holds on average, at least.
+_COLUMNS, _ROWS, _IN_CELL = 150, 50, 4
 
 
 def thumbnail(r: Recording) -> str:
@@ -272,7 +242,8 @@ def thumbnail(r: Recording) -> str:
     time = np.broadcast_to(r.time_s[:, None], place.shape)
     place = place - frame_mps(r) * time
     known = np.isfinite(place) & np.isfinite(speed)
-    bins = (_WIDTH, _HEIGHT)
+    fill = min(1.0, float(np.sqrt(known.sum() / (_IN_CELL * _COLUMNS * _ROWS))))
+    bins = (max(1, round(_COLUMNS * fill)), max(1, round(_ROWS * fill)))
     count, *edges = np.histogram2d(time[known], place[known], bins=bins)
     total = np.histogram2d(time[known], place[known], bins=edges, weights=speed[known])[0]
     share = np.clip(total / np.maximum(count, 1) / fastest(r), 0.0, 1.0)
