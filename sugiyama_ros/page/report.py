@@ -376,10 +376,10 @@ def _verdict(r: Recording, d: Mapping[str, Any] | None) -> str:
     if hidden := d.get("hidden"):
         rows.append(("What was hidden", f"{title_of(d, form_of(hidden))}; {size_of(d, hidden)}."))
     listed = "".join(f"<dt>{what}</dt><dd>{_unbroken(capital(text))}</dd>" for what, text in rows if text)
-    said = capital(headline(d).removeprefix(f"{words}: "))
+    said, _, more = capital(headline(d).removeprefix(f"{words}: ")).partition(". ")
     return (
         f'<div class="verdict {outcome}"><p class="badge">{sign} {escape(words)}</p>'
-        f"{_text(said, 'headline')}<dl>{listed}</dl></div>"
+        f"{_text(said.rstrip('.') + '.', 'headline')}{_text(more) if more else ''}<dl>{listed}</dl></div>"
     )
 
 
@@ -413,11 +413,11 @@ def _tile_of_checks(d: Mapping[str, Any]) -> str:
     every, bad = d["checks"], failed(d)
     names = [text for _, text in _few("", [check_title(d, one) for one in bad])]
     note = f"fails: {'; '.join(names)}" if bad else "the model gives what was measured, as far as chance lets one see"
-    rows = ""
-    for when in ("before", "after") if d["verdict"]["effects"] else ("before",):
+    rows, is_changed = "", bool(d["verdict"]["effects"])
+    for when in ("before", "after") if is_changed else ("before",):
         if where := d.get("where", {}).get(when):
             biased_bins = f"{len(where['flagged'])} of {len(where['bins'])}"
-            rows += f'<tr class="{when}"><td>{_short(when, d)}</td><td>{biased_bins}</td></tr>'
+            rows += f'<tr class="{when}"><td>{_short(when, is_changed)}</td><td>{biased_bins}</td></tr>'
     if rows:
         note += ". Parts of the data in which the model is biased:"
     share = 100.0 * (1.0 - len(bad) / max(len(every), 1))
@@ -427,9 +427,8 @@ def _tile_of_checks(d: Mapping[str, Any]) -> str:
     )
 
 
-def _short(model: str, d: Mapping[str, Any]) -> str:
+def _short(model: str, is_changed: bool) -> str:
     """A name that is short enough for the tiles."""
-    is_changed = bool(d["verdict"]["effects"])
     return model if model == "floor" or (model in MODELS and is_changed) else model_name(model)
 
 
@@ -451,10 +450,9 @@ def _tile(title: str, about: str, key: str, errors: Mapping[str, Any]) -> str:
     # a law that goes astray may leave the picture
     full, bars = 1.5 * max([*known, 1e-9]), ""
     for model in (model for model in (*own, *laws, "floor") if model in of):
-        name = model if model == "floor" or (model in own and is_changed) else model_name(model)
         width, beyond = 100.0 * min(of[model] / full, 1.0), " ▸" if of[model] > full else ""
         bars += (
-            f'<tr class="{model}"><td>{escape(name)}</td><td class="bar"><i style="width:{width:.1f}%"></i></td>'
+            f'<tr class="{model}"><td>{escape(_short(model, is_changed))}</td><td class="bar"><i style="width:{width:.1f}%"></i></td>'
             f"<td>{length(scale * of[model])} {unit}{beyond}</td></tr>"
         )
     return (

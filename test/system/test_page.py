@@ -98,7 +98,7 @@ def test_the_card_says_what_how_much_how_sure_and_what_to_do(recorded):
     card = text.split("<nav>")[0].replace("\u00a0", " ")
     for words in (
         "What was missing is explained",
-        "Slower stretch of road (slow_patch). With it, no check fails.",
+        "Slower stretch of road (slow_patch).</p><p>With it, no check fails.",
         "Share taken off the desired speed: 0.20 ± 0.01; middle: 5 m; length: 30 m",
         "Unseen data confirm it: 50 ± 9 nats better (5.6 standard errors); chance gains as much with p &lt; 0.001",
         "cannot be told apart from hill",
