@@ -93,7 +93,7 @@ def _is_address(name: str) -> bool:
     return True
 
 
-class Quiet(logging.Handler):
+class _Quiet(logging.Handler):
     """Prints few and short lines of a server's log: what strangers send is not repeated whole, nor as often."""
 
     def __init__(self) -> None:
@@ -114,7 +114,7 @@ class Quiet(logging.Handler):
 
 def log_quietly() -> None:
     """Let the loggers of the web server print few and short lines from now on."""
-    quiet = Quiet()
+    quiet = _Quiet()
     for name in ("bokeh", "tornado"):
         logger = logging.getLogger(name)
         logger.handlers, logger.propagate = [quiet], False

@@ -452,8 +452,8 @@ def _tile(title: str, about: str, key: str, errors: Mapping[str, Any]) -> str:
     for model in (model for model in (*own, *laws, "floor") if model in of):
         width, beyond = 100.0 * min(of[model] / full, 1.0), " ▸" if of[model] > full else ""
         bars += (
-            f'<tr class="{model}"><td>{escape(_short(model, is_changed))}</td><td class="bar"><i style="width:{width:.1f}%"></i></td>'
-            f"<td>{length(scale * of[model])} {unit}{beyond}</td></tr>"
+            f'<tr class="{model}"><td>{escape(_short(model, is_changed))}</td><td class="bar">'
+            f'<i style="width:{width:.1f}%"></i></td><td>{length(scale * of[model])} {unit}{beyond}</td></tr>'
         )
     return (
         f'<div class="tile"><h3>{escape(title)}</h3><p class="number">{number}</p>{_text(about, "note")}'

@@ -54,14 +54,9 @@ _RUNS = {"single": "one car", "road": "all cars"}
 # What was added
 
 
-def is_supported(n: Document) -> bool:
-    """Whether the data ask for an addition; what somebody asks for is added even if they do not."""
-    return bool(n.get("is_supported", True))
-
-
-def explains(n: Document) -> bool:
+def _explains(n: Document) -> bool:
     """Whether an addition has a physical name and is supported. Constants, noises and forces explain nothing."""
-    return n.get("kind", "effect") in ("effect", "measurement") and is_supported(n)
+    return n["kind"] in ("effect", "measurement") and bool(n["is_supported"])
 
 
 def size_of(d: Document, n: Document) -> str:
@@ -90,12 +85,12 @@ def on_unseen(n: Document) -> str:
         text += f" better ({gain / se:.1f} standard errors)"
     if gain <= CLEAR * se and (best := _clearest(n)):
         text += f", most clearly {best}"
-    return text + (f"; shown by {_vehicles([str(v) for v in n['vehicles']])} only" if n.get("vehicles") else "")
+    return text + (f"; shown by {_vehicles([str(v) for v in n['vehicles']])} only" if n["vehicles"] else "")
 
 
 def _clearest(n: Document) -> str:
     """The column in which an addition gains most standard errors, if it gains clearly there."""
-    columns = {name: one for name, one in n.get("gains", {}).items() if name != "all" and one["se"] > 0.0}
+    columns = {name: one for name, one in n["gains"].items() if name != "all" and one["se"] > 0.0}
     name = max(columns, key=lambda name: columns[name]["nats"] / columns[name]["se"], default="")
     if not name or columns[name]["nats"] <= CLEAR * columns[name]["se"]:
         return ""
@@ -104,13 +99,13 @@ def _clearest(n: Document) -> str:
 
 def worse_in_words(n: Document) -> str:
     """Every forecast that an addition makes worse; empty if it makes none worse."""
-    clear, others = (worse_columns(n.get("gains", {}), clearly=one) for one in (True, False))
+    clear, others = (worse_columns(n["gains"], clearly=one) for one in (True, False))
     return "; ".join([*clear, *([f"within chance: {', '.join(others)}"] if others else [])])
 
 
-def certainty(n: Document) -> str:
+def _certainty(n: Document) -> str:
     """How certain an addition is: its gain on data that no fit has seen, and its p-value."""
-    verb = "confirm" if is_supported(n) else "do not confirm"
+    verb = "confirm" if n["is_supported"] else "do not confirm"
     p = chance(n.get("p_value"))
     return not_found(n) or f"unseen data {verb} it: {on_unseen(n)}" + (f"; chance gains as much with {p}" if p else "")
 
@@ -119,7 +114,7 @@ def gain_in_words(d: Document, n: Document) -> str:
     """The name of an addition, and what it gains on unseen data, in a few words."""
     size = f"{nats(float(n['heldout_gain_nats']), float(n['heldout_gain_se']))} nats"
     told = (
-        f"{size} better on unseen data" if is_supported(n) else not_found(n) or f"the data do not ask for it ({size})"
+        f"{size} better on unseen data" if n["is_supported"] else not_found(n) or f"the data do not ask for it ({size})"
     )
     return f"{addition(d, n)}: {told}"
 
@@ -131,7 +126,7 @@ def not_told_apart(d: Document, n: Document) -> str:
 
 def closest(d: Document, n: Document) -> str:
     """The physical effect that comes closest to an addition that has no physical name; empty if there is none."""
-    one = n.get("closest_effect")
+    one = n["closest_effect"]
     if not one:
         return ""
     name, behind, se = named(d, one["name"]), float(one["behind_nats"]), float(one["behind_se"])
@@ -168,7 +163,7 @@ def equation(d: Document) -> str:
 def _unwritten(n: Document) -> str:
     """What stands in the equation for constants that are free, and for an effect that declares no term."""
     names = ", ".join(n.get("parameters", {}))
-    if n.get("kind") in ("constants", "noise"):
+    if n["kind"] in ("constants", "noise"):
         return f"{names} free" if names else f"{form_of(n)} of each driver free"
     return f"{form_of(n)}({names})"
 
@@ -178,12 +173,12 @@ def _unwritten(n: Document) -> str:
 
 def failed(d: Document) -> list[Document]:
     """The checks that fail, the smallest p-value first."""
-    return sorted((one for one in d.get("checks", ()) if one["failed"]), key=lambda one: float(one["p_value"]))
+    return sorted((one for one in d["checks"] if one["failed"]), key=lambda one: float(one["p_value"]))
 
 
 def checks_hold(d: Document) -> str:
     """How many checks hold."""
-    every = len(d.get("checks", ()))
+    every = len(d["checks"])
     return f"{every - len(failed(d))} of {every} checks hold"
 
 
@@ -244,11 +239,11 @@ def reasons(d: Document) -> list[str]:
 def badge(d: Document) -> tuple[str, str]:
     """The outcome of a verdict: a sign, and words."""
     outcome, effects = d["verdict"].get("outcome", ""), d["verdict"]["effects"]
-    if effects and outcome != "adequate" and not any(map(is_supported, effects)) and not failed(d):
+    if effects and outcome != "adequate" and not any(n["is_supported"] for n in effects) and not failed(d):
         return "?", "Added as asked; the data do not ask for it"
     if outcome == "adequate":
         return "✓", "The model is adequate"
-    if outcome == "explained" and any(map(explains, effects)):
+    if outcome == "explained" and any(map(_explains, effects)):
         return "✓", "What was missing is explained"
     return "✗", "Not explained"
 
@@ -256,26 +251,25 @@ def badge(d: Document) -> tuple[str, str]:
 def headline(d: Document) -> str:
     """The verdict as a few plain sentences; physics, constants and forces are told apart."""
     effects, words = d["verdict"]["effects"], badge(d)[1]
+    fails = f"fails {len(failed(d))} of {len(d['checks'])} checks"
     if not effects:
-        if d["verdict"].get("outcome") == "adequate":
+        if d["verdict"]["outcome"] == "adequate":
             return f"{words}: no check fails."
-        return f"{words}: the model fails{_but_holds(d)}, and no effect that was tried explains it."
-    asked = [n for n in effects if not is_supported(n)]
-    if len(asked) == len(effects):
-        end = f" The model fails{_but_holds(d)}: something else is missing." if failed(d) else ""
-        start = f"{words}: " if failed(d) else ""
-        said = not_found(asked[0]) if all(map(not_found, asked)) else "the data do not"
-        return f"{start}You asked for {_of(d, asked)}; {said}.{end}"
-    physical = [n for n in effects if explains(n)]
-    rest = [n for n in effects if is_supported(n) and not explains(n)]
+        return f"{words}: the model {fails}, and no effect that was tried explains it."
+    supported = [n for n in effects if n["is_supported"]]
+    if not supported:
+        asked = f"You asked for {_of(d, effects)}; the data do not."
+        return f"{words}: {asked} The model {fails}: something else is missing." if failed(d) else asked
+    still = f" The model still {fails}." if failed(d) else ""
+    physical, rest = ([n for n in supported if _explains(n) == is_physical] for is_physical in (True, False))
     if not physical:
-        return f"{words}: {_without_physics(d, rest)}{_still_fails(d)}"
+        return f"{words}: {_without_physics(d, rest)}{still}"
     more = f" Besides, {_without_physics(d, rest)}" if rest else ""
-    if not failed(d):
-        found = "it" if len(physical) == 1 else "them"
-        tried = " Other effects were not fitted." if d["verdict"].get("asked") else ""
-        return f"{words}: {_of(d, physical)}. With {found}, no check fails.{tried}{more}"
-    return f"{words}: {_of(d, physical)} and more is missing.{more}{_still_fails(d)}"
+    if still:
+        return f"{words}: {_of(d, physical)} and more is missing.{more}{still}"
+    found = "it" if len(physical) == 1 else "them"
+    tried = " Other effects were not fitted." if d["verdict"].get("asked") else ""
+    return f"{words}: {_of(d, physical)}. With {found}, no check fails.{tried}{more}"
 
 
 def _of(d: Document, effects: Sequence[Document]) -> str:
@@ -296,25 +290,17 @@ def _without_physics(d: Document, effects: Sequence[Document]) -> str:
     return "; ".join([*parts, *([near] if near else [])]) + "."
 
 
-def _but_holds(d: Document) -> str:
-    return f" {len(failed(d))} of {len(d.get('checks', ()))} checks"
-
-
-def _still_fails(d: Document) -> str:
-    return f" The model still fails{_but_holds(d)}." if failed(d) else ""
-
-
 def how_sure(d: Document) -> str:
     """How certain the names are, in one sentence."""
     effects = d["verdict"]["effects"]
     if not effects:
         return f"{checks_hold(d)}; the model is biased in {biased(d, 'before')}."
     if d["verdict"].get("asked"):
-        told = certainty(effects[0]) + "; other" if len(effects) == 1 else "Other"
+        told = _certainty(effects[0]) + "; other" if len(effects) == 1 else "Other"
         return f"{told} effects were not fitted, so nothing is known of what explains the data as well."
     if len(effects) == 1:
         others = not_told_apart(d, effects[0])
-        return certainty(effects[0]) + (f"; cannot be told apart from {others}." if others else ".")
+        return _certainty(effects[0]) + (f"; cannot be told apart from {others}." if others else ".")
     certain = [n for n in effects if not n["indistinguishable"]]
     if len(certain) == len(effects):
         return "Each name can be told apart from everything else that was fitted."
@@ -368,7 +354,7 @@ def _after_10_s(errors: Document) -> float | None:
 def what_to_do(d: Document) -> str:
     """What to do after the verdict: the strongest lead first."""
     effects = d["verdict"]["effects"]
-    advice = list(dict.fromkeys(text for n in effects for text in n.get("advice", ())))
+    advice = list(dict.fromkeys(text for n in effects for text in n["advice"]))
     left = failed(d)
     if left:
         lead = f"Look first at the strongest failed check, {check_title(d, left[0])}."
@@ -377,11 +363,11 @@ def what_to_do(d: Document) -> str:
     if not effects:
         small = "The table of what these data would have shown says how small a missing effect may be."
         return f"Use the model as it is. {small}"
-    if not any(map(is_supported, effects)):
+    if not any(n["is_supported"] for n in effects):
         return "Leave it out, unless you know from elsewhere that the drivers have it."
     if advice:
         return _tell_apart(advice).strip()
-    if not any(map(explains, effects)):
+    if not any(map(_explains, effects)):
         return f"Do not take it for a cause. {_use(d)}"
     return _use(d)
 
@@ -442,8 +428,8 @@ def sentences(d: Document) -> list[str]:
     model = equation(d)
     lines.append(f"The model, with what is new in brackets: {model}" if model else "")
     lines += [f"Fails: {one}." for one in reasons(d)]
-    lines.append(f"{checks_hold(d)}." if d.get("checks") else "")
-    ahead = [one for one in d.get("checks", ()) if one["name"].startswith("gain_of_") and float(one["value"]) > 0.0]
+    lines.append(f"{checks_hold(d)}." if d["checks"] else "")
+    ahead = [one for one in d["checks"] if one["name"].startswith("gain_of_") and float(one["value"]) > 0.0]
     lines += [f"{capital(check_in_words(d, one))}: it may be ahead by chance." for one in ahead if not one["failed"]]
     lines += [f"{capital(one)}." for one in worse(d)]
     for when, of in (("before", "The base model"), ("after", "The model with the additions")):
@@ -460,11 +446,11 @@ def _added(d: Document, n: Document, told: str) -> list[str]:
         f" {' -> '.join(ends)}."
     ]
     if d["verdict"].get("asked"):
-        lines.append("The data ask for it." if is_supported(n) else "You asked for it; the data do not ask for it.")
+        lines.append("The data ask for it." if n["is_supported"] else "You asked for it; the data do not ask for it.")
     if text := worse_in_words(n):
         lines.append(f"Gets worse: {text}.")
     if others := not_told_apart(d, n):
-        advice = f" To tell them apart, {'; '.join(n['advice'])}." if n.get("advice") else ""
+        advice = f" To tell them apart, {'; '.join(n['advice'])}." if n["advice"] else ""
         lines.append(f"It cannot be told apart from {others}.{advice}")
     if (near := closest(d, n)) and near not in told:
         lines.append(f"{capital(near)}.")
@@ -474,11 +460,11 @@ def _added(d: Document, n: Document, told: str) -> list[str]:
 def biased(d: Document, when: str) -> str:
     """In how many bins a model is biased, and where most of all."""
     where = d.get("where", {}).get(when, {"flagged": [], "bins": []})
-    worst = "; ".join(map(bin_in_words, where["flagged"][:_WORST]))
+    worst = "; ".join(map(_bin_in_words, where["flagged"][:_WORST]))
     return f"{len(where['flagged'])} of {len(where['bins'])} bins" + (f", most of all: {worst}" if worst else "")
 
 
-def bin_in_words(b: Document) -> str:
+def _bin_in_words(b: Document) -> str:
     """A bin, and the bias in it."""
     name = "while" if b["covariate"] == "regime" else spaced(b["covariate"])
     value = b["label"] or f"{figure(b['low'])} to {figure(b['high'])} {UNITS.get(b['covariate'], '')}".strip()

@@ -26,9 +26,9 @@ from sugiyama_ros.road import Road
 
 # Okabe and Ito's colours.
 BLUE, ORANGE, GREEN, VERMILION, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#777777"
-SKY, PURPLE = "#56B4E9", "#CC79A7"
+SKY = "#56B4E9"
 #: Colours of the models that are compared.
-COLOURS = (GREY, BLUE, VERMILION, ORANGE, GREEN, SKY, PURPLE, "#8C6D31", "#9A9A00", "#B5577F", "#44AA99", "#A08CC0")
+COLOURS = (GREY, BLUE, VERMILION, ORANGE, GREEN, SKY, "#CC79A7", "#8C6D31", "#9A9A00", "#B5577F", "#44AA99", "#A08CC0")
 #: Colour of a place without data, and of lines of a grid.
 EMPTY, _GRID = "#8080802e", "#80808040"
 #: Colour of the driver who is chosen.

@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from bokeh.models import (
@@ -21,7 +21,7 @@ from bokeh.models import (
 from bokeh.palettes import PuOr11
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.page.names import MODELS, chance, form_of, model_name, models, title_of
+from sugiyama_ros.page.names import MODELS, UNITS, chance, form_of, model_name, models, title_of
 from sugiyama_ros.page.panels.base import (
     BLUE,
     EMPTY,
@@ -35,7 +35,6 @@ from sugiyama_ros.page.panels.base import (
     panel,
 )
 
-_UNITS = {"speed": "m/s", "gap": "m", "place": "m", "time": "s"}
 _AXES = {"place": "position"}
 # Shares of a force between which a map shows it.
 _MIDDLE = (0.1, 0.9)
@@ -43,13 +42,8 @@ _MIDDLE = (0.1, 0.9)
 _END = 0.5
 
 
-class Found(NamedTuple):
-    """A range of a covariate in which something acts, with its name; a time at which it happens has no width."""
-
-    title: str
-    covariate: str
-    low: float
-    high: float
+# A range of a covariate in which something acts: its name, the covariate, and both ends, which are equal for a time.
+_Found = tuple[str, str, float, float]
 
 
 def bias_maps(diagnosis: Mapping[str, Any], ring_m: float) -> tuple[list[UIElement], list[str]]:
@@ -63,7 +57,7 @@ def bias_maps(diagnosis: Mapping[str, Any], ring_m: float) -> tuple[list[UIEleme
             continue
         plot = _bias_map(before, "before" if added else "")
         here = found_in(_axes(before), diagnosis, ring_m)
-        drawn |= dict.fromkeys(one.title for one in here)
+        drawn |= dict.fromkeys(title for title, *_ in here)
         _draw_found(plot, before, here)
         found.append(plot)
         if added:
@@ -80,27 +74,27 @@ def _axes(one: Mapping[str, Any]) -> tuple[str, str]:
 
 def _bias_map(one: Mapping[str, Any], when: str, beside: Any = None) -> Any:
     x, y = _axes(one)
-    labels = [f"{_AXES.get(name, name)} [{_UNITS.get(name, '')}]" for name in (x, y)]
-    ranges = {"x_range": beside.x_range, "y_range": beside.y_range} if beside is not None else {}
-    first, second = (np.array(one[f"{name}_edges"], dtype=np.float64) for name in ("first", "second"))
-    if beside is None:
-        across, up = (second, first) if y == one["first"] else (first, second)
-        ranges = {"x_range": _ends(across), "y_range": _ends(up)}
+    edges = {one[part]: np.array(one[f"{part}_edges"], dtype=np.float64) for part in ("first", "second")}
+    across, up = edges[x], edges[y]
+    ranges = {"x_range": _ends(across), "y_range": _ends(up)}
+    if beside is not None:
+        ranges = {"x_range": beside.x_range, "y_range": beside.y_range}
+    labels = [f"{_AXES.get(name, name)} [{UNITS.get(name, '')}]" for name in (x, y)]
     title = f"Bias over {_AXES.get(x, x)} and {_AXES.get(y, y)}" + (f", {when}" if when else "")
     plot = panel(title, *labels, background_fill_color=EMPTY, **ranges)
-    bias = np.array(one["bias"], dtype=np.float64).reshape(len(first) - 1, -1)
-    flagged = np.array(one.get("flagged", np.zeros(bias.shape)), dtype=np.bool_).reshape(bias.shape)
-    i, j = np.nonzero(np.isfinite(bias))
-    across, up, a, b = (second, first, j, i) if y == one["first"] else (first, second, i, j)
+    bias, flagged = np.array(one["bias"], dtype=np.float64), np.array(one["flagged"], dtype=np.bool_)
+    if x == one["second"]:
+        bias, flagged = bias.T, flagged.T
+    a, b = np.nonzero(np.isfinite(bias))
     source = ColumnDataSource(
         {
             "left": across[a],
             "right": across[a + 1],
             "bottom": up[b],
             "top": up[b + 1],
-            "bias": bias[i, j],
-            "line": np.where(flagged[i, j], "#000000", "#00000000"),
-            "says": np.where(flagged[i, j], "more than chance", "within chance"),
+            "bias": bias[a, b],
+            "line": np.where(flagged[a, b], "#000000", "#00000000"),
+            "says": np.where(flagged[a, b], "more than chance", "within chance"),
         }
     )
     colours = LinearColorMapper(PuOr11, low=-_END, high=_END)
@@ -120,7 +114,7 @@ def _ends(edges: Array) -> Range1d:
     return Range1d(float(edges[0]), float(min(edges[-1], edges[-2] + 0.3 * (edges[-2] - edges[0]))))
 
 
-def _draw_found(plot: Any, one: Mapping[str, Any], found: Sequence[Found]) -> None:
+def _draw_found(plot: Any, one: Mapping[str, Any], found: Sequence[_Found]) -> None:
     """Draw places, times and ranges of what was found into a map."""
     axes = _axes(one)
     for _, covariate, low, high in found:
@@ -136,7 +130,7 @@ def _draw_found(plot: Any, one: Mapping[str, Any], found: Sequence[Found]) -> No
             plot.add_layout(band)
 
 
-def found_in(axes: tuple[str, str], diagnosis: Mapping[str, Any], ring_m: float) -> list[Found]:
+def found_in(axes: tuple[str, str], diagnosis: Mapping[str, Any], ring_m: float) -> list[_Found]:
     """Return what to draw into a map over two covariates.
 
     ring_m: circumference [m] of the ring, on which a place comes again; 0 for an open road.
@@ -149,17 +143,17 @@ def found_in(axes: tuple[str, str], diagnosis: Mapping[str, Any], ring_m: float)
         for name, value in values.items():
             axis = declared.get(name, {}).get("axis")
             if axis == "time" and "time" in axes:
-                found.append(Found(title, "time", float(value), float(value)))
+                found.append((title, "time", float(value), float(value)))
             elif axis == "place" and "place" in axes:
                 half = 0.5 * float(values.get("width", 0.0))
                 for shift in (-ring_m, 0.0, ring_m) if ring_m else (0.0,):
-                    found.append(Found(title, "place", value + shift - half, value + shift + half))
+                    found.append((title, "place", value + shift - half, value + shift + half))
         if effect.get("covariate") in axes:
             found += _force(title, effect)
     return found
 
 
-def _force(title: str, effect: Mapping[str, Any]) -> list[Found]:
+def _force(title: str, effect: Mapping[str, Any]) -> list[_Found]:
     """Where the middle 80 % of the squares of a force lies along its covariate; nothing for a force of no size."""
     values = effect["parameters"]
     size = np.abs([float(value) for name, value in values.items() if name.startswith("force_")])
@@ -167,7 +161,7 @@ def _force(title: str, effect: Mapping[str, Any]) -> list[Found]:
     if not size.any():
         return []
     low, high = knots[np.searchsorted(np.square(size).cumsum() / np.square(size).sum(), _MIDDLE)]
-    return [Found(title, str(effect["covariate"]), float(low), float(high))]
+    return [(title, str(effect["covariate"]), float(low), float(high))]
 
 
 _MOST_SHOWN = 12
@@ -201,7 +195,7 @@ def candidates(diagnosis: Mapping[str, Any]) -> UIElement:
         "",
         x_range=_range_of_gains(gain - se, gain + se),
         y_range=FactorRange(factors=names),
-        height=max(HEIGHT, 60 + 24 * len(kept), 60 + 30 * len(diagnosis["smallest_detectable"])),
+        height=max(HEIGHT, 60 + 24 * len(kept)),
     )
     bars = plot.hbar("name", right="gain", source=source, height=0.7, color="colour")
     whisker = Whisker(base="name", lower="low", upper="high", source=source, dimension="width", line_color=GREY)
@@ -233,7 +227,7 @@ _LAWS = 2
 def growth(diagnosis: Mapping[str, Any], run: str, title: str) -> UIElement:
     """Error of the free runs of one kind over time: of the base and the final model, and of the best other laws."""
     plot = panel(title, "after [s]", "error [m]")
-    curves = {name: error_growth(errors, run) for name, errors in models(diagnosis).items()}
+    curves = {name: _growth(errors, run) for name, errors in models(diagnosis).items()}
     laws = sorted((name for name in curves if name not in MODELS), key=lambda name: curves[name][1][-1])[:_LAWS]
     lines = []
     for name in [name for name in curves if name in (*MODELS, *laws)]:
@@ -259,10 +253,10 @@ def growth(diagnosis: Mapping[str, Any], run: str, title: str) -> UIElement:
 
 def is_known(diagnosis: Mapping[str, Any], run: str) -> bool:
     """Whether there are free runs of a kind: tracks have none of all cars together."""
-    return len(error_growth(diagnosis["errors"]["before"], run)[0]) > 1
+    return len(_growth(diagnosis["errors"]["before"], run)[0]) > 1
 
 
-def error_growth(errors: Mapping[str, Any], run: str) -> tuple[list[float], list[float]]:
+def _growth(errors: Mapping[str, Any], run: str) -> tuple[list[float], list[float]]:
     """Horizons [s] in ascending order, and errors [m] of free runs of one kind."""
     known = ((re.fullmatch(rf"{run}_(\d+(?:\.\d+)?)s_m", key), value) for key, value in errors.items())
     pairs = sorted((float(match[1]), float(value)) for match, value in known if match and value is not None)
