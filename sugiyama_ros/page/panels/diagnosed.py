@@ -56,7 +56,7 @@ def bias_maps(diagnosis: Mapping[str, Any], ring_m: float) -> tuple[list[UIEleme
         if not np.size(before["bias"]):  # recordings have no places in common
             continue
         plot = _bias_map(before, "before" if added else "")
-        here = found_in(_axes(before), diagnosis, ring_m)
+        here = _found_in(_axes(before), diagnosis, ring_m)
         drawn |= dict.fromkeys(title for title, *_ in here)
         _draw_found(plot, before, here)
         found.append(plot)
@@ -130,7 +130,7 @@ def _draw_found(plot: Any, one: Mapping[str, Any], found: Sequence[_Found]) -> N
             plot.add_layout(band)
 
 
-def found_in(axes: tuple[str, str], diagnosis: Mapping[str, Any], ring_m: float) -> list[_Found]:
+def _found_in(axes: tuple[str, str], diagnosis: Mapping[str, Any], ring_m: float) -> list[_Found]:
     """Return what to draw into a map over two covariates.
 
     ring_m: circumference [m] of the ring, on which a place comes again; 0 for an open road.
