@@ -35,7 +35,7 @@ from sugiyama_ros.bridges.perception import (
 )
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.cdr import ros2_name, why_unreadable
-from sugiyama_ros.formats.mcap_reader import BagMessage, BagSource
+from sugiyama_ros.formats.mcap_reader import Bag, BagMessage
 from sugiyama_ros.formats.reading import checksum_of, shown_name
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.about import About
@@ -83,16 +83,15 @@ def tracks_of_bag(
 
     pattern: pattern of the topics' names, such as ``/car*/odom``. Raises InputError.
     """
-    bag, intake = BagSource(path), Intake()
-    bridges = _topics(bag, pattern, BRIDGES | ({bridge.type: bridge} if bridge is not None else {}))
-    sightings, names = _collected(bag, bridges, intake)
-    notes: list[str] = []
-    parts = [_stamped(part, names["topic"], bridges, notes) for part in _recordings(sightings)]
-    once = [_once(part, names["vehicle"], path) for part in parts]
+    counts, notes = Counts(), list[str]()
+    with Bag(path) as bag:
+        bridges = _topics(bag, pattern, BRIDGES | ({bridge.type: bridge} if bridge is not None else {}))
+        sightings, names = _collected(bag, bridges, counts)
+        parts = [_stamped(part, names["topic"], bridges, notes) for part in _recordings(sightings)]
+        once = [_once(part, names["vehicle"], path) for part in parts]
+        _check_frames(bag, names["frame"], settings.frame)
+        there = [_in_frame(part, names["frame"], _transforms(bag), settings.frame) for part in once]
     repeated = sum(map(len, parts)) - sum(map(len, once))
-    _check_frames(bag, names["frame"], settings.frame)
-    there = [_in_frame(part, names["frame"], _transforms(bag), settings.frame) for part in once]
-    counts = intake.counts
     counts.unknown_frame = sum(map(len, once)) - sum(map(len, there))
     _check_followed(path, there)
     there = [_directed(part) for part in there if len(part)]
@@ -118,7 +117,7 @@ def tracks_of_bag(
     return replace(tracks, about=tracks.about.noting(jumps_noted(tracks)))
 
 
-def _topics(bag: BagSource, pattern: str, known: dict[str, Bridge]) -> dict[str, Bridge]:
+def _topics(bag: Bag, pattern: str, known: dict[str, Bridge]) -> dict[str, Bridge]:
     """The bridge of each topic that is wanted. Raises InputError if there is none."""
     topics = bag.info().topics
     kinds = {topic.name: ros2_name(topic.type) for topic in topics if topic.count and fnmatchcase(topic.name, pattern)}
@@ -135,7 +134,7 @@ def _topics(bag: BagSource, pattern: str, known: dict[str, Bridge]) -> dict[str,
     raise InputError(f"{bag.path}: no topic {pattern}; it has {have}; see `sugiyama info {bag.path}`")
 
 
-def _messages(bag: BagSource, topics: Iterable[str]) -> Iterator[BagMessage]:
+def _messages(bag: Bag, topics: Iterable[str]) -> Iterator[BagMessage]:
     """Decoded messages of some topics. Raises InputError where they cannot be decoded."""
     for message in bag.messages(set(topics)):
         if isinstance(message.message, bytes):
@@ -143,12 +142,12 @@ def _messages(bag: BagSource, topics: Iterable[str]) -> Iterator[BagMessage]:
         yield message
 
 
-def _collected(bag: BagSource, bridges: dict[str, Bridge], intake: Intake) -> tuple[_Rows, _Names]:
+def _collected(bag: Bag, bridges: dict[str, Bridge], counts: Counts) -> tuple[_Rows, _Names]:
     """All that the topics say of vehicles, in the order of the log.
 
     Raises InputError where they say nothing that can be used, and for more than a table may have.
     """
-    path, counts, content = bag.path, intake.counts, bytearray()
+    path, intake, content = bag.path, Intake(counts), bytearray()
     numbers: dict[str, dict[str, int]] = {name: {} for name in ("vehicle", "topic", "frame", "class")}
     for message in _messages(bag, bridges):
         topic, log_ns = message.topic, message.log_time_ns
@@ -299,7 +298,7 @@ class _Transforms(NamedTuple):
     log_ns: int
 
 
-def _transforms(bag: BagSource) -> Iterator[_Transforms]:
+def _transforms(bag: Bag) -> Iterator[_Transforms]:
     """Transforms of a bag; the static ones first, since they hold from the beginning."""
     types = (TF_TYPE, _OLD_TF_TYPE)
     topics = {topic.name for topic in bag.info().topics if topic.count and ros2_name(topic.type) in types}
@@ -309,7 +308,7 @@ def _transforms(bag: BagSource) -> Iterator[_Transforms]:
             yield _Transforms(message.message, static, -1 if static else message.log_time_ns)
 
 
-def _check_frames(bag: BagSource, frames: Sequence[str], frame: str) -> None:
+def _check_frames(bag: Bag, frames: Sequence[str], frame: str) -> None:
     """Raise InputError where positions are in several frames, or in one that moves, and no frame is given."""
     names = [name for name in frames if name]
     if frame or not names:

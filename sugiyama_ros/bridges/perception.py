@@ -119,8 +119,8 @@ class Numbers:
 class Intake:
     """Takes messages, and says which vehicles they show: those that can be told apart, at places that are numbers."""
 
-    def __init__(self) -> None:
-        self.counts = Counts()
+    def __init__(self, counts: Counts) -> None:
+        self.counts = counts
         # stamp [ns] of the first message of each topic, and when it came
         self._first: dict[str, tuple[int, int]] = {}
 
@@ -326,7 +326,7 @@ class Perception:
 
     def __init__(self, lanes: RoadLanes, settings: PerceptionSettings = PerceptionSettings()) -> None:
         self.lanes, self._settings = lanes, settings
-        self._intake, self._frames, self._numbers = Intake(), Frames(settings.frame), Numbers()
+        self._intake, self._frames, self._numbers = Intake(Counts()), Frames(settings.frame), Numbers()
         self._moments = Moments(Placer(lanes), settings.period_s or _DEFAULT_PERIOD_S, self._intake.counts)
         self._lane_number = lane_numbers(lanes)
         self._length: dict[str, float] = {}

@@ -204,11 +204,12 @@ def _info(file: Path, ring: float | None, as_json: bool) -> dict[str, Any]:
             print_line(f"{'Format:':<13}{document['format']}")
             _print_tracks(document)
         return document
-    from sugiyama_ros.formats.mcap_reader import BagSource
+    from sugiyama_ros.formats.mcap_reader import Bag
 
     if ring is not None:
         raise InputError("--ring: a bag says itself which road it is about; leave out --ring")
-    about = BagSource(file).info()
+    with Bag(file) as bag:
+        about = bag.info()
     if not as_json:
         for key, value in _lines(about):
             print_line(f"{key + ':':<13}{value}")
@@ -251,21 +252,21 @@ def echo(
 ) -> None:
     """Print the messages of one topic."""
     from sugiyama_ros.formats.cdr import plain
-    from sugiyama_ros.formats.mcap_reader import BagSource
+    from sugiyama_ros.formats.mcap_reader import Bag
 
-    bag = BagSource(file)
-    messages = bag.messages({topic})
-    if as_json:
-        sys.stdout.write("[")
-        for number, (_, _, log_time_ns, message) in enumerate(messages):
-            document = {"log_time_ns": log_time_ns, "message": plain(message)}
-            sys.stdout.write(("," if number else "") + "\n" + to_json(document))
-        sys.stdout.write("\n]\n")
-    else:
-        for _, _, log_time_ns, message in messages:
-            sys.stdout.write(f"# {log_time_ns}\n{to_json(plain(message), indent=2)}\n---\n")
-    for name, why in bag.undecoded.items():
-        print_note(f"{name}: bytes in hexadecimal: {why}")
+    with Bag(file) as bag:
+        messages = bag.messages({topic})
+        if as_json:
+            sys.stdout.write("[")
+            for number, (_, _, log_time_ns, message) in enumerate(messages):
+                document = {"log_time_ns": log_time_ns, "message": plain(message)}
+                sys.stdout.write(("," if number else "") + "\n" + to_json(document))
+            sys.stdout.write("\n]\n")
+        else:
+            for _, _, log_time_ns, message in messages:
+                sys.stdout.write(f"# {log_time_ns}\n{to_json(plain(message), indent=2)}\n---\n")
+        for name, why in bag.undecoded.items():
+            print_note(f"{name}: bytes in hexadecimal: {why}")
 
 
 def recover(

@@ -2,15 +2,17 @@
 
 import re
 import zlib
+from array import array
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from functools import partial
-from operator import attrgetter
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
+import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Footer, Header, Metadata, MetadataIndex, Statistics
 
@@ -21,15 +23,14 @@ from sugiyama_ros.formats.mcap_records import (
     HEAD,
     MAGIC,
     MAX_RECORD,
+    MESSAGE,
     METADATA,
     ZSTD,
     Descriptions,
-    Message,
     Record,
     RecordFile,
     Segment,
     content_records,
-    in_order,
     merged,
     open_packed,
     unpacked,
@@ -81,61 +82,45 @@ class BagMessage(NamedTuple):
 
 
 class Bag:
-    """An MCAP file opened for reading; use it in a ``with`` block.
+    """A bag opened for reading: an MCAP file, or a directory of rosbag2, whose files are read as one.
 
-    Memory stays below 512 MiB, whatever the file claims. Larger records, and larger chunks after decompression, are
-    refused before memory is allocated for them. Raises InputError.
+    Use it in a ``with`` block. Memory stays below 512 MiB, whatever the files claim. Larger records, and larger chunks
+    after decompression, are refused before memory is allocated for them. Raises InputError.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
-        self._described = Descriptions(self.path)
+        self.files = bag_files(self.path)
         #: Why the messages of a topic are given as bytes.
         self.undecoded: dict[str, str] = {}
         with ExitStack() as opened:
-            self._file = RecordFile(self.path, opened.enter_context(open_packed(self.path)))
-            first = self._file.record(len(MAGIC))
-            if first.opcode != Opcode.HEADER:
-                raise self._file.damaged(first.offset, "no header record")
-            self._header = self._file.parse(Header, first)
-            self._summary = self._summary_start()
+            self._each = [_BagFile(file, opened.enter_context(open_packed(file))) for file in self.files]
             self._opened = opened.pop_all()
 
     def info(self) -> BagInfo:
         """Content of the bag: from its summary, or from all its messages if it has no summary."""
-        statistics: Statistics | None = None
-        metadata: dict[str, dict[str, str]] = {}
-        compression: set[str] = set()
-        for record in self._noting(self._file.records(self._summary or len(MAGIC))):
-            if record.opcode == Opcode.STATISTICS:
-                statistics = self._file.parse(Statistics, record)
-            elif record.opcode == Opcode.CHUNK_INDEX:
-                compression.add(self._file.parse(ChunkIndex, record).compression)
-            elif record.opcode == Opcode.METADATA_INDEX:
-                record = self._file.record(self._file.parse(MetadataIndex, record).offset)
-            if record.opcode == Opcode.METADATA:
-                found = self._file.parse(Metadata, record)
-                self._described.count(record.length)
-                metadata[found.name] = found.metadata
-        if statistics is None:
-            counts, start, end = self._counted()
-        else:
-            counts = statistics.channel_message_counts
-            start, end = statistics.message_start_time, statistics.message_end_time
-        topics = [self._topic(channel, counts.get(channel.id, 0)) for channel in self._described.channels.values()]
+        each = [file.content() for file in self._each]
+        counts, topics = Counter[str](), {}
+        for file, content in zip(self._each, each, strict=True):
+            for number, channel in file.described.channels.items():
+                counts[channel.topic] += content.counts.get(number, 0)
+                topics[channel.topic] = file, channel
+        filled = [content for content in each if content.messages]
+        start_ns = min((content.start_ns for content in filled), default=0)
+        end_ns = max((content.end_ns for content in filled), default=0)
         return BagInfo(
             file=str(self.path),
-            size_bytes=self._file.size,
+            size_bytes=sum(file.records.size for file in self._each),
             storage="mcap",
-            profile=self._header.profile,
-            library=self._header.library,
-            duration_s=1e-9 * (end - start),
-            start_ns=start,
-            end_ns=end,
-            messages=sum(counts.values()) if statistics is None else statistics.message_count,
-            compression=tuple(sorted(compression - {""})),
-            topics=tuple(sorted(topics, key=attrgetter("name"))),
-            metadata=metadata,
+            profile=self._each[0].header.profile,
+            library=self._each[0].header.library,
+            duration_s=1e-9 * (end_ns - start_ns),
+            start_ns=start_ns,
+            end_ns=end_ns,
+            messages=sum(content.messages for content in each),
+            compression=tuple(sorted({name for content in each for name in content.compression} - {""})),
+            topics=tuple(_topic(*topics[name], counts[name]) for name in sorted(topics)),
+            metadata={name: values for content in each for name, values in content.metadata.items()},
         )
 
     def messages(self, topics: Collection[str] | None = None, *, skip_misfits: bool = False) -> Iterator[BagMessage]:
@@ -144,12 +129,11 @@ class Bag:
         A topic whose messages cannot be decoded has bytes, and `undecoded` says why. Raises InputError for a topic that
         is not in the bag, and for a message that does not fit its definition, unless such messages are skipped.
         """
-        decoders: dict[int, Decoder | None] = {}
-        for number, message in enumerate(self._selected(topics)):
-            if message.channel not in decoders:
-                decoders[message.channel] = self._decoder(message.channel)
-            decode = decoders[message.channel]
-            found = self._named(message)
+        decoders: dict[tuple[_BagFile, int], Decoder | None] = {}
+        for number, (log_ns, file, channel, data) in enumerate(self._selected(topics)):
+            if (file, channel) not in decoders:
+                decoders[file, channel] = self._decoder(file, channel)
+            decode, found = decoders[file, channel], file.named(channel, log_ns, data)
             if decode is not None:
                 try:
                     found = found._replace(message=decode(found.message))
@@ -163,10 +147,10 @@ class Bag:
 
     def raw_messages(self, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
         """Messages with their content as bytes; otherwise the same as ``messages``."""
-        return map(self._named, self._selected(topics))
+        return (file.named(channel, log_ns, data) for log_ns, file, channel, data in self._selected(topics))
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the files."""
         self._opened.close()
 
     def __enter__(self) -> "Bag":
@@ -177,93 +161,16 @@ class Bag:
     ) -> None:
         self.close()
 
-    def _noting(self, records: Iterable[Record]) -> Iterator[Record]:
-        """Records; their descriptions of types and channels are kept."""
-        for record in records:
-            if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._described.add(record.opcode, self._file.body(record))
-            yield record
-
-    def _named(self, message: Message) -> BagMessage:
-        """A message with the topic and type of its channel; unpacked if it was compressed on its own."""
-        schema = self._described.schema(message.channel)
-        channel = self._described.channels[message.channel]
-        data = message.data
-        if data[: len(ZSTD)] == ZSTD and channel.message_encoding == "cdr":
-            data = unpacked(data, f"{self.path}: a message of {channel.topic!r}")
-        return BagMessage(channel.topic, schema.name if schema else "", message.log_time, data)
-
-    def _selected(self, topics: Collection[str] | None) -> Iterator[Message]:
-        """Messages of some topics, or of all topics."""
-
-        def wanted(channel: int) -> bool:
-            if channel not in self._described.channels:
-                raise InputError(
-                    f"{self.path}: a message of channel {channel}, which is not described; the file is damaged"
-                )
-            return topics is None or self._described.channels[channel].topic in topics
-
-        skipped = self._without(topics)
-        parts = [
-            Segment(start, size, partial(self._part, where, content, wanted))
-            for start, size, where, content in self._parts(skipped)
-        ]
-        if not self._described.channels:
-            self._describe_chunks()
-        yield from merged(parts, attrgetter("log_time"), self.path)
-        missing = set(topics or ()) - {channel.topic for channel in self._described.channels.values()}
-        if missing:
+    def _selected(self, topics: Collection[str] | None) -> "Iterator[_Found]":
+        """Messages of some topics, or of all topics, in the order of their log times."""
+        yield from merged([part for file in self._each for part in file.parts(topics)], self.path)
+        known = {channel.topic for file in self._each for channel in file.described.channels.values()}
+        if missing := set(topics or ()) - known:
             raise InputError(f"{self.path}: no topic {', '.join(sorted(missing))}; see `sugiyama info {self.path}`")
 
-    def _part(self, where: str, content: Callable[[], bytes], wanted: Callable[[int], bool]) -> Iterator[Message]:
-        return in_order(content(), where, self._described.add, wanted)
-
-    def _parts(self, skipped: Collection[int]) -> Iterator[tuple[int, int, str, Callable[[], bytes]]]:
-        """The chunks, and the blocks of messages between them: first log time [ns], bytes, name, and what reads it.
-
-        Chunks at the offsets ``skipped`` are passed over.
-        """
-        file, block, first_ns = self._file, (0, 0), 0
-        for record in self._noting(file.records()):
-            is_message = record.opcode == Opcode.MESSAGE
-            begin, end = block
-            if begin < end and (not is_message or end != record.offset or record.end - begin > _BLOCK):
-                yield first_ns, end - begin, f"{self.path}: offset {begin}", partial(file.read, begin, end - begin)
-                block = (0, 0)
-            if is_message:
-                log_time = file.log_time(record)
-                first_ns = log_time if block == (0, 0) else min(first_ns, log_time)
-                block = (record.offset if block == (0, 0) else block[0], record.end)
-            elif record.opcode == Opcode.CHUNK and record.offset not in skipped:
-                start_ns, size = file.chunk_head(record)
-                yield start_ns, min(size, MAX_RECORD), file.where(record), partial(file.chunk, record)
-
-    def _without(self, topics: Collection[str] | None) -> Collection[int]:
-        """Offsets of chunks that hold no message of ``topics``, as far as the summary says so."""
-        records = self._noting(self._file.records(self._summary)) if self._summary else ()
-        indexes = [record for record in records if record.opcode == Opcode.CHUNK_INDEX]
-        wanted = {channel.id for channel in self._described.channels.values() if channel.topic in (topics or ())}
-        if topics is None or len(wanted) < len(topics):
-            return frozenset()
-        found = [self._file.parse(ChunkIndex, record) for record in indexes]
-        return {
-            index.chunk_start_offset
-            for index in found
-            if index.message_index_offsets and wanted.isdisjoint(index.message_index_offsets)
-        }
-
-    def _describe_chunks(self) -> None:
-        """Take in the descriptions in all chunks, where they are nowhere else: one may come after its messages."""
-        for record in self._file.records():
-            if record.opcode == Opcode.CHUNK:
-                content = self._file.chunk(record)
-                for opcode, start, end in content_records(content, self._file.where(record)):
-                    if opcode != Opcode.MESSAGE:
-                        self._described.add(opcode, content[start:end])
-
-    def _decoder(self, number: int) -> Decoder | None:
+    def _decoder(self, file: "_BagFile", number: int) -> Decoder | None:
         """Decoder for the messages of a channel; None if they cannot be decoded, and `undecoded` says why."""
-        channel, schema = self._described.channels[number], self._described.schema(number)
+        channel, schema = file.described.channels[number], file.described.schema(number)
         said = (schema.name, schema.data.decode(errors="replace"), schema.encoding) if schema else ("", "", "")
         found = decoder_of(*said, channel.message_encoding)
         if isinstance(found, str):
@@ -271,30 +178,157 @@ class Bag:
             return None
         return found
 
-    def _topic(self, channel: Channel, count: int) -> TopicInfo:
-        schema = self._described.schema(channel.id)
-        qos = channel.metadata.get("offered_qos_profiles", "")[:10_000]
-        return TopicInfo(
-            name=channel.topic,
-            type=schema.name if schema else "",
-            count=count,
-            serialization=channel.message_encoding,
-            reliability=_policy(qos, "reliability", {"1": "reliable", "2": "best_effort"}),
-            durability=_policy(qos, "durability", {"1": "transient_local", "2": "volatile"}),
-        )
 
-    def _counted(self) -> tuple[dict[int, int], int, int]:
-        """Messages of each channel, and the first and last log time [ns], of a file that does not say them."""
-        counts: dict[int, int] = {}
-        start, end = (1 << 64) - 1, 0
-        for message in self._selected(None):
-            counts[message.channel] = counts.get(message.channel, 0) + 1
-            start, end = min(start, message.log_time), max(end, message.log_time)
-        return counts, min(start, end), end
+class _Found(NamedTuple):
+    """One message as in a file: log time [ns], file, number of the channel, and bytes."""
+
+    log_ns: int
+    file: "_BagFile"
+    channel: int
+    data: bytes
+
+
+@dataclass
+class _Content:
+    """What a file says of itself: messages of each channel and in all, first and last log time [ns], and metadata."""
+
+    counts: dict[int, int] = field(default_factory=dict)
+    messages: int = 0
+    start_ns: int = 0
+    end_ns: int = 0
+    compression: set[str] = field(default_factory=set)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+
+
+class _BagFile:
+    """One MCAP file of a bag. Raises InputError."""
+
+    def __init__(self, path: Path, stream: BinaryIO) -> None:
+        self.path, self.records, self.described = path, RecordFile(path, stream), Descriptions(path)
+        first = self.records.record(len(MAGIC))
+        if first.opcode != Opcode.HEADER:
+            raise self.records.damaged(first.offset, "no header record")
+        self.header = self.records.parse(Header, first)
+        self._summary = self._summary_start()
+
+    def content(self) -> _Content:
+        """Content of the file: from its summary, or from all its messages if it has no summary."""
+        file, found, is_counted = self.records, _Content(), False
+        for record in self._noting(file.records(self._summary or len(MAGIC))):
+            if record.opcode == Opcode.STATISTICS:
+                said = file.parse(Statistics, record)
+                is_counted, found.counts, found.messages = True, said.channel_message_counts, said.message_count
+                found.start_ns, found.end_ns = said.message_start_time, said.message_end_time
+            elif record.opcode == Opcode.CHUNK_INDEX:
+                found.compression.add(file.parse(ChunkIndex, record).compression)
+            elif record.opcode == Opcode.METADATA_INDEX:
+                record = file.record(file.parse(MetadataIndex, record).offset)
+            if record.opcode == Opcode.METADATA:
+                metadata = file.parse(Metadata, record)
+                self.described.count(record.length)
+                found.metadata[metadata.name] = metadata.metadata
+        for one in () if is_counted else merged(self.parts(None), self.path):
+            found.start_ns = min(found.start_ns, one.log_ns) if found.messages else one.log_ns
+            found.end_ns, found.messages = max(found.end_ns, one.log_ns), found.messages + 1
+            found.counts[one.channel] = found.counts.get(one.channel, 0) + 1
+        return found
+
+    def named(self, number: int, log_ns: int, data: bytes) -> BagMessage:
+        """A message with the topic and type of its channel; unpacked if it was compressed on its own."""
+        schema, channel = self.described.schema(number), self.described.channels[number]
+        if data[: len(ZSTD)] == ZSTD and channel.message_encoding == "cdr":
+            data = unpacked(data, f"{self.path}: a message of {channel.topic!r}")
+        return BagMessage(channel.topic, schema.name if schema else "", log_ns, data)
+
+    def parts(self, topics: Collection[str] | None) -> list[Segment]:
+        """The chunks, and the blocks of messages between them."""
+        skipped = self._without(topics)
+        parts = [
+            Segment(start_ns, size, partial(self._in_order, read, where, topics))
+            for start_ns, size, where, read in self._blocks(skipped)
+        ]
+        if not self.described.channels:
+            # the descriptions are in the chunks alone, and one may come after its messages
+            for record in self.records.records():
+                if record.opcode == Opcode.CHUNK:
+                    content = self.records.chunk(record)
+                    for opcode, start, end in content_records(content, self.records.where(record)):
+                        if opcode != Opcode.MESSAGE:
+                            self.described.add(opcode, content[start:end])
+        return parts
+
+    def _noting(self, records: Iterable[Record]) -> Iterator[Record]:
+        """Records; their descriptions of types and channels are kept."""
+        for record in records:
+            if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self.described.add(record.opcode, self.records.body(record))
+            yield record
+
+    def _without(self, topics: Collection[str] | None) -> set[int]:
+        """Offsets of chunks that hold no message of ``topics``, as far as the summary says so."""
+        records = self._noting(self.records.records(self._summary)) if self._summary else ()
+        indexes = [record for record in records if record.opcode == Opcode.CHUNK_INDEX]
+        skipped: set[int] = set()
+        if topics is None:
+            return skipped
+        others = {number for number, channel in self.described.channels.items() if channel.topic not in topics}
+        for record in indexes:
+            index = self.records.parse(ChunkIndex, record)
+            if index.message_index_offsets and others.issuperset(index.message_index_offsets):
+                skipped.add(index.chunk_start_offset)
+        return skipped
+
+    def _blocks(self, skipped: Collection[int]) -> Iterator[tuple[int, int, str, Callable[[], bytes]]]:
+        """The chunks, and the blocks of messages between them: first log time [ns], bytes, name, and what reads it.
+
+        Chunks at the offsets ``skipped`` are passed over.
+        """
+        file, block, first_ns = self.records, (0, 0), 0
+        for record in self._noting(file.records()):
+            is_message = record.opcode == Opcode.MESSAGE
+            begin, end = block
+            if begin < end and (not is_message or end != record.offset or record.end - begin > _BLOCK):
+                yield first_ns, end - begin, f"{self.path}: offset {begin}", partial(file.read, begin, end - begin)
+                block = (0, 0)
+            if is_message:
+                log_ns = file.log_time(record)
+                first_ns = log_ns if block == (0, 0) else min(first_ns, log_ns)
+                block = (record.offset if block == (0, 0) else block[0], record.end)
+            elif record.opcode == Opcode.CHUNK and record.offset not in skipped:
+                start_ns, size = file.chunk_head(record)
+                yield start_ns, min(size, MAX_RECORD), file.where(record), partial(file.chunk, record)
+
+    def _in_order(self, read: Callable[[], bytes], where: str, topics: Collection[str] | None) -> Iterator[_Found]:
+        """Messages in a block or chunk on some topics, in the order of their log times."""
+        times, starts, ends = array("Q"), array("Q"), array("Q")
+        content, is_wanted = read(), dict[int, bool]()
+        for opcode, start, end in content_records(content, where):
+            if opcode != Opcode.MESSAGE:
+                self.described.add(opcode, content[start:end])
+                continue
+            channel, _, log_ns, _ = MESSAGE.unpack_from(content, start)
+            if channel not in is_wanted:
+                topic = self._topic_of(channel)
+                is_wanted[channel] = topics is None or topic in topics
+            if is_wanted[channel]:
+                times.append(log_ns)
+                starts.append(start)
+                ends.append(end)
+        order: list[int] = np.argsort(np.array(times, dtype=np.uint64), kind="stable").tolist()
+        for k in order:
+            channel, *_ = MESSAGE.unpack_from(content, starts[k])
+            yield _Found(times[k], self, channel, content[starts[k] + MESSAGE.size : ends[k]])
+
+    def _topic_of(self, channel: int) -> str:
+        if channel not in self.described.channels:
+            raise InputError(
+                f"{self.path}: a message of channel {channel}, which is not described; the file is damaged"
+            )
+        return self.described.channels[channel].topic
 
     def _summary_start(self) -> int:
         """Offset of the summary section, with a verified checksum; 0 if there is no summary."""
-        file = self._file
+        file = self.records
         footer_offset = file.size - len(MAGIC) - _FOOTER_SIZE
         if footer_offset < len(MAGIC) or file.read(file.size - len(MAGIC), len(MAGIC)) != MAGIC:
             raise file.cut_off(file.size)
@@ -316,71 +350,23 @@ class Bag:
         return start
 
 
+def _topic(file: _BagFile, channel: Channel, count: int) -> TopicInfo:
+    schema = file.described.schema(channel.id)
+    qos = channel.metadata.get("offered_qos_profiles", "")[:10_000]
+    return TopicInfo(
+        name=channel.topic,
+        type=schema.name if schema else "",
+        count=count,
+        serialization=channel.message_encoding,
+        reliability=_policy(qos, "reliability", {"1": "reliable", "2": "best_effort"}),
+        durability=_policy(qos, "durability", {"1": "transient_local", "2": "volatile"}),
+    )
+
+
 def _policy(qos: str, name: str, numbers: dict[str, str]) -> str:
     """One policy of the first profile in the YAML text of rosbag2; older bags write numbers."""
     found = re.search(rf"\b{name}: *(\w+)", qos)
     return numbers.get(found[1], found[1]) if found else ""
-
-
-class BagSource:
-    """One or more files that were recorded together, read as one: an MCAP file, or a directory of rosbag2.
-
-    Raises InputError.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.path, self.files = path, bag_files(path)
-        #: Why the messages of a topic are given as bytes.
-        self.undecoded: dict[str, str] = {}
-
-    def info(self) -> BagInfo:
-        """Content of all files together."""
-        each = []
-        for file in self.files:
-            with Bag(file) as bag:
-                each.append(bag.info())
-        if len(each) == 1:
-            return replace(each[0], file=str(self.path))
-        filled = [one for one in each if one.messages]
-        start_ns = min((one.start_ns for one in filled), default=0)
-        end_ns = max((one.end_ns for one in filled), default=0)
-        topics: dict[str, TopicInfo] = {}
-        for topic in (topic for one in each for topic in one.topics):
-            known = topics.get(topic.name)
-            topics[topic.name] = topic if known is None else replace(known, count=known.count + topic.count)
-        return replace(
-            each[0],
-            file=str(self.path),
-            size_bytes=sum(one.size_bytes for one in each),
-            duration_s=1e-9 * (end_ns - start_ns),
-            start_ns=start_ns,
-            end_ns=end_ns,
-            messages=sum(one.messages for one in each),
-            compression=tuple(sorted({name for one in each for name in one.compression})),
-            topics=tuple(topics[name] for name in sorted(topics)),
-            metadata={name: values for one in each for name, values in one.metadata.items()},
-        )
-
-    def messages(self, topics: Collection[str]) -> Iterator[BagMessage]:
-        """Messages of some topics in the order of their log times, as those of `Bag`."""
-        parts, missing = [], set(topics)
-        for file in self.files:
-            with Bag(file) as bag:
-                about = bag.info()
-            here = {topic.name for topic in about.topics} & set(topics)
-            missing -= here
-            if here and about.messages:
-                parts.append(Segment(about.start_ns, 0, partial(self._of_file, file, here)))
-        if missing:
-            raise InputError(f"{self.path}: no topic {', '.join(sorted(missing))}; see `sugiyama info {self.path}`")
-        yield from merged(parts, attrgetter("log_time_ns"), self.path)
-
-    def _of_file(self, file: Path, topics: Collection[str]) -> Iterator[BagMessage]:
-        with Bag(file) as bag:
-            for message in bag.messages(topics):
-                if isinstance(message.message, bytes):
-                    self.undecoded.update(bag.undecoded)
-                yield message
 
 
 def bag_files(path: Path) -> list[Path]:

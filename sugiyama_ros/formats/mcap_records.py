@@ -8,7 +8,6 @@ import shutil
 import struct
 import tempfile
 import zlib
-from array import array
 from collections.abc import Callable, Collection, Iterable, Iterator
 from heapq import heappop, heappush, heapreplace
 from io import BytesIO
@@ -16,7 +15,6 @@ from pathlib import Path
 from typing import IO, Any, BinaryIO, NamedTuple, TypeVar, cast
 
 import lz4.frame
-import numpy as np
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -48,21 +46,6 @@ MESSAGE = struct.Struct("<HIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQ")
 
 Parsed = TypeVar("Parsed")
-
-
-class Message(NamedTuple):
-    """One message as in the file; times in [ns]."""
-
-    channel: int
-    sequence: int
-    log_time: int
-    publish_time: int
-    data: bytes
-
-    @classmethod
-    def at(cls, content: bytes, start: int, end: int) -> "Message":
-        """The message whose head begins at ``start`` of some content."""
-        return cls._make((*MESSAGE.unpack_from(content, start), content[start + MESSAGE.size : end]))
 
 
 class Record(NamedTuple):
@@ -239,28 +222,6 @@ def content_records(content: bytes, where: str) -> Iterator[tuple[int, int, int]
             yield opcode, start, position
 
 
-def in_order(
-    content: bytes, where: str, describe: Callable[[int, bytes], None], wanted: Callable[[int], bool]
-) -> Iterator[Message]:
-    """Messages of a chunk on the wanted channels, in the order of their log times. Raises InputError."""
-    times, starts, ends = array("Q"), array("Q"), array("Q")
-    known: dict[int, bool] = {}
-    for opcode, start, end in content_records(content, where):
-        if opcode != Opcode.MESSAGE:
-            describe(opcode, content[start:end])
-            continue
-        channel, _, log_time, _ = MESSAGE.unpack_from(content, start)
-        if channel not in known:
-            known[channel] = wanted(channel)
-        if known[channel]:
-            times.append(log_time)
-            starts.append(start)
-            ends.append(end)
-    order = np.argsort(np.frombuffer(times, dtype=np.uint64), kind="stable") if times else np.zeros(0, dtype=np.int64)
-    for k in order.tolist():
-        yield Message.at(content, starts[k], ends[k])
-
-
 class Segment(NamedTuple):
     """A part of a recording whose messages are in order: first log time [ns], bytes while it is open, and messages."""
 
@@ -269,10 +230,11 @@ class Segment(NamedTuple):
     load: Callable[[], Iterable[Any]]
 
 
-def merged(parts: Collection[Segment], time_of: Callable[[Any], int], path: Path) -> Iterator[Any]:
+def merged(parts: Collection[Segment], path: Path) -> Iterator[Any]:
     """Yield the messages of all parts in the order of their log times, and in that of the parts at the same time.
 
-    A part is loaded when its first message is due, and forgotten after its last one. Raises InputError.
+    Messages are tuples that begin with their log time [ns]. A part is loaded when its first message is due, and
+    forgotten after its last one. Raises InputError.
     """
     waiting = sorted(enumerate(parts), key=lambda one: (one[1].start_ns, one[0]), reverse=True)
     # (log time, number of the part, message, messages that follow, bytes); no two have the same number
@@ -292,12 +254,12 @@ def merged(parts: Collection[Segment], time_of: Callable[[Any], int], path: Path
             if first is None:
                 open_bytes -= part.size
                 continue
-            if time_of(first) < part.start_ns:
+            if first[0] < part.start_ns:
                 raise InputError(
                     f"{path}: a chunk holds messages of before its start time; the file is damaged;"
                     f" run `sugiyama recover {path}`"
                 )
-            heappush(due, (time_of(first), number, first, messages, part.size))
+            heappush(due, (first[0], number, first, messages, part.size))
         if due:
             _, number, message, messages, size = due[0]
             yield message
@@ -306,7 +268,7 @@ def merged(parts: Collection[Segment], time_of: Callable[[Any], int], path: Path
                 heappop(due)
                 open_bytes -= size
             else:
-                heapreplace(due, (time_of(following), number, following, messages, size))
+                heapreplace(due, (following[0], number, following, messages, size))
 
 
 def open_packed(path: Path) -> BinaryIO:

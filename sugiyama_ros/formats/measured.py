@@ -20,7 +20,7 @@ from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import MAX_SAMPLES, Trajectories
 
 if TYPE_CHECKING:
-    from sugiyama_ros.formats.mcap_reader import BagSource
+    from sugiyama_ros.formats.mcap_reader import Bag
 
 ROAD_TYPE = "sugiyama_msgs/msg/Road"
 MEASURED_TYPE = "sugiyama_msgs/msg/MeasuredPositions"
@@ -89,28 +89,33 @@ def messages(trajectories: Trajectories) -> Iterator[tuple[str, int, bytes]]:
 
 def read_measured(path: Path, choices: Choices) -> Tracks:
     """Read tracks from a bag with one ``road`` and one ``measured`` topic, in any namespace. Raises InputError."""
-    from sugiyama_ros.formats.mcap_reader import BagSource
+    from sugiyama_ros.formats.mcap_reader import Bag
 
-    bag = BagSource(path)
-    about = bag.info().topics
-    topics = {}
+    with Bag(path) as bag:
+        topics = _topics(bag)
+        try:
+            return _collected(bag, topics, choices)
+        except (AttributeError, TypeError, ValueError):
+            # A bag brings its own definitions, which may have other fields.
+            raise InputError(
+                f"{path}: `road` or `measured`: not the fields that this version knows; convert the source again"
+            ) from None
+
+
+def _topics(bag: "Bag") -> dict[str, str]:
+    """The types of the two topics, by name. Raises InputError unless there is one of each."""
+    about, topics = bag.info().topics, {}
     for name, kind in (("road", ROAD_TYPE), ("measured", MEASURED_TYPE)):
         found = [t.name for t in about if t.name.split("/")[-1] == name and t.type == kind and t.count]
         if len(found) != 1:
             have = f"{len(found)} topics ({', '.join(map(repr, found))})" if found else "no topic"
             seen = "" if found else "; vehicles on other topics are read by `sugiyama convert` with --odometry"
-            raise InputError(f"{path}: {have} `{name}` with messages of {kind}; give a bag with exactly one{seen}")
+            raise InputError(f"{bag.path}: {have} `{name}` with messages of {kind}; give a bag with exactly one{seen}")
         topics[found[0]] = kind
-    try:
-        return _collected(bag, topics, choices)
-    except (AttributeError, TypeError, ValueError):
-        # A bag brings its own definitions, which may have other fields.
-        raise InputError(
-            f"{path}: `road` or `measured`: not the fields that this version knows; convert the source again"
-        ) from None
+    return topics
 
 
-def _collected(bag: "BagSource", topics: dict[str, str], choices: Choices) -> Tracks:
+def _collected(bag: "Bag", topics: dict[str, str], choices: Choices) -> Tracks:
     """Tracks from the messages on two topics, given by name with their types."""
     path = bag.path
     road: Any = None

@@ -17,8 +17,8 @@ from sugiyama_ros.formats.mcap_records import (
     HEAD,
     MAGIC,
     MAX_RECORD,
+    MESSAGE,
     Descriptions,
-    Message,
     Record,
     RecordFile,
     content_records,
@@ -58,6 +58,8 @@ def recover(path: Path, target: Target) -> Recovered:
     path, output = Path(path), output_of(target)
     output.check()
     out = output.path
+    if out.exists() and out.samefile(path):
+        raise OutputError(f"{out}: is also read by this command; give another name for the output")
     with open_packed(path) as stream:
         salvage = _Salvage(RecordFile(path, stream))
         with writing(output) as recovered:
@@ -112,21 +114,22 @@ class _Salvage:
         elif record.opcode == Opcode.MESSAGE:
             self._file.log_time(record)  # refuses a message without its head
             body = self._file.body(record, MAX_RECORD)
-            self._copy_message(Message.at(body, 0, len(body)), writer)
+            self._copy_message(body, writer)
         elif record.opcode == Opcode.CHUNK:
             content = self._chunk(record)
             for opcode, start, end in content_records(content, self._file.where(record)):
                 if opcode == Opcode.MESSAGE:
-                    self._copy_message(Message.at(content, start, end), writer)
+                    self._copy_message(content[start:end], writer)
                 else:
                     self._described.add(opcode, content[start:end])
 
-    def _copy_message(self, message: Message, writer: Writer) -> None:
+    def _copy_message(self, body: bytes, writer: Writer) -> None:
         """Copy one message; a message without a description of its channel is lost."""
-        channel = self._described.channels.get(message.channel)
-        schema = self._described.schema(message.channel) if channel else None
+        number, sequence, log_ns, publish_ns = MESSAGE.unpack_from(body)
+        channel = self._described.channels.get(number)
+        schema = self._described.schema(number) if channel else None
         if channel is None or (schema is None and channel.schema_id != 0):
-            self.lost_bytes += len(message.data)
+            self.lost_bytes += len(body) - MESSAGE.size
             return
         if schema is not None and schema.id not in self._new_schema:
             self._new_schema[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
@@ -135,8 +138,7 @@ class _Salvage:
             self._new_channel[channel.id] = writer.register_channel(
                 channel.topic, channel.message_encoding, type_id, channel.metadata
             )
-        number = self._new_channel[channel.id]
-        writer.add_message(number, message.log_time, message.data, message.publish_time, message.sequence)
+        writer.add_message(self._new_channel[channel.id], log_ns, body[MESSAGE.size :], publish_ns, sequence)
         self.messages += 1
 
     def _records(self) -> Iterator[Record]:

@@ -473,11 +473,11 @@ def test_overlapping_parts_are_merged_in_bounded_memory(tmp_path: Path) -> None:
         return Segment(times[0], size, load)
 
     most = []
-    for found in merged([part(k, [10 * k, 10 * k + 12]) for k in (3, 1, 2, 0)], lambda one: one[0], tmp_path):
+    for found in merged([part(k, [10 * k, 10 * k + 12]) for k in (3, 1, 2, 0)], tmp_path):
         most.append((found, len(opened)))
     times = [time for (time, _), _ in most]
     assert times == sorted(times)
     assert len(times) == 8
     assert max(count for _, count in most) == 2
     with pytest.raises(InputError, match="lie in another order than their log times; sort it with `mcap sort"):
-        list(merged([part(k, [k, 100]) for k in range(3)], lambda one: one[0], tmp_path))
+        list(merged([part(k, [k, 100]) for k in range(3)], tmp_path))
