@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from rclpy.client import Client
-from rclpy.subscription import Subscription
 from sugiyama_msgs.msg import DriverArray, DriverParameters, Verdict
 from sugiyama_msgs.msg import Road as RoadMessage
 from sugiyama_msgs.srv import AddEffect
@@ -24,7 +23,7 @@ from sugiyama_ros.formats.truth import namespace
 from sugiyama_ros.nodes.base import incoming
 from sugiyama_ros.nodes.base.cdr_messages import NS, time_message
 from sugiyama_ros.nodes.base.feed import RoadFeed
-from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode, clients_of, followers
+from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, AnyPublisher, Health, PacedNode, clients_of, followers
 from sugiyama_ros.nodes.base.parameters import check_driver, declare_driver, driver_of
 from sugiyama_ros.nodes.base.qos import STREAM
 from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER, Sample
@@ -56,7 +55,7 @@ class Critic(PacedNode):
         self._bank: Bank | None = None
         self._chains: dict[int, list[int]] = {}
         self._seen_ns: dict[int, int] = {}
-        self._heard: dict[int, Subscription] = {}
+        self._heard: dict[int, AnyPublisher] = {}
         # parameters of effects that each driver's model has, by vehicle, and the latest message about all drivers
         self._effects_of: dict[int, Mapping[str, float]] = {}
         self._drivers: DriverArray | None = None
@@ -132,7 +131,7 @@ class Critic(PacedNode):
             del self._chains[vehicle], self._seen_ns[vehicle]
             self._effects_of.pop(vehicle, None)
             if vehicle in self._heard:
-                self.destroy_subscription(self._heard.pop(vehicle))
+                self._heard.pop(vehicle).close()
 
     def _listen_to(self, vehicle: int) -> None:
         """Listen to which effects the model of a driver has, unless one message says it of all drivers."""

@@ -1,7 +1,6 @@
 """One driver who is followed: what the filter gets of a sample, and where the driver will be."""
 
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import exp, isfinite, isnan, nan
 from typing import Any, NamedTuple
@@ -130,9 +129,49 @@ class Follower:
         return estimate
 
     def predict(self, now: Estimate, stamp_ns: int, ahead_s: float) -> Prediction:
-        """Predict the driver's path from the latest sample on; see ``predict``."""
-        lengths = [self._length_m.get(vehicle, 0.0) for vehicle in self._chain]
-        return predict(self.filter, now, self._chain, lengths, stamp_ns / NS, ahead_s)
+        """Predict the driver's path from the latest sample on.
+
+        Nothing is known of the preferences of the drivers ahead but their spread over the population. So the filter
+        also goes on with each of these preferences one standard deviation lower and higher. What this changes adds to
+        the mean and to the covariance, as in a cubature rule: a slower leader slows the driver down, but a faster one
+        does not pull. Afterwards, the filter knows what it knew before.
+        """
+        filter_, saved = self.filter, self.filter.saved()
+        path = self._path(now, stamp_ns, ahead_s)
+        model, middle = filter_.kalman.model, np.column_stack([path.position_m, path.speed])
+        for m in (m for m in range(1, len(self._chain)) if self._chain[m] >= 0):
+            for place, std in zip(model.adapted, np.sqrt(model.prior_var).tolist(), strict=True):
+                for sign in (-1.0, 1.0):
+                    filter_.restore(saved)
+                    filter_.kalman.rows[m, place] *= exp(sign * std)
+                    other = self._path(now, stamp_ns, ahead_s)
+                    off = np.column_stack([other.position_m, other.speed]) - middle
+                    path.position_m[:] += 0.5 * off[:, 0]
+                    path.speed[:] += 0.5 * off[:, 1]
+                    path.covariance[:] += 0.5 * off[:, :, None] * off[:, None, :]
+        filter_.restore(saved)
+        return path
+
+    def _path(self, now: Estimate, stamp_ns: int, ahead_s: float) -> Prediction:
+        """Let the filter go on without samples."""
+        filter_, chain = self.filter, self._chain
+        length_m = [self._length_m.get(vehicle, 0.0) for vehicle in chain]
+        time_s = np.asarray(filter_.period_s * np.arange(round(ahead_s / filter_.period_s) + 1), np.float64)
+        states = [now]
+        for after_s in time_s[1:].tolist():
+            at_s = stamp_ns / NS + after_s
+            states.append(filter_.step([nan] * len(chain), chain, length_m, at_s, (nan, -1, 0.0)))
+        position = np.array([state.position_m for state in states])
+        steps: Array = np.diff(position)
+        if filter_.road.is_ring:
+            lap = filter_.road.circumference_m
+            steps -= lap * np.round(steps / lap)
+        return Prediction(
+            time_s=time_s,
+            position_m=position[0] + np.concatenate([[0.0], np.cumsum(steps)]),
+            speed=np.array([state.speed for state in states]),
+            covariance=np.array([state.covariance[:2, :2] for state in states]),
+        )
 
     def _keep_what_is_known(self, sample: Sample) -> None:
         """Keep what is known before a sample, and forget what is older than any sample may be late."""
@@ -223,63 +262,3 @@ class Follower:
     def _is_known(self, stamp_ns: int, kept: Kept) -> bool:
         """Whether an earlier run has learnt from the sample: the last samples may be sent once more."""
         return kept.until_ns - DEPTH * self.filter.period_s * NS < stamp_ns <= kept.until_ns
-
-
-def predict(
-    filter_: OnlineFilter,
-    now: Estimate,
-    identity: Sequence[int],
-    length_m: Sequence[float],
-    time_s: float = 0.0,
-    ahead_s: float = AHEAD_S,
-) -> Prediction:
-    """Predict a driver's path with a filter, which afterwards knows what it knew before.
-
-    Nothing is known of the preferences of the drivers ahead but their spread over the population. So the filter also
-    goes on with each of these preferences one standard deviation lower and higher. What this changes adds to the mean
-    and to the covariance, as in a cubature rule: a slower leader slows the driver down, but a faster one does not pull.
-
-    now: of the latest sample, at time_s [s], with the numbers and lengths [m] of the vehicles of the chain.
-    """
-    saved = filter_.saved()
-    path = _path(filter_, now, identity, length_m, time_s, ahead_s)
-    model, middle = filter_.kalman.model, np.column_stack([path.position_m, path.speed])
-    for m in (m for m in range(1, len(identity)) if identity[m] >= 0):
-        for place, std in zip(model.adapted, np.sqrt(model.prior_var).tolist(), strict=True):
-            for sign in (-1.0, 1.0):
-                filter_.restore(saved)
-                filter_.kalman.rows[m, place] *= exp(sign * std)
-                other = _path(filter_, now, identity, length_m, time_s, ahead_s)
-                off = np.column_stack([other.position_m, other.speed]) - middle
-                path.position_m[:] += 0.5 * off[:, 0]
-                path.speed[:] += 0.5 * off[:, 1]
-                path.covariance[:] += 0.5 * off[:, :, None] * off[:, None, :]
-    filter_.restore(saved)
-    return path
-
-
-def _path(
-    filter_: OnlineFilter,
-    now: Estimate,
-    identity: Sequence[int],
-    length_m: Sequence[float],
-    time_s: float,
-    ahead_s: float,
-) -> Prediction:
-    """Let a filter go on without samples; the arguments are those of ``predict``."""
-    periods = round(ahead_s / filter_.period_s)
-    found, nowhere = [now], [nan] * len(identity)
-    for k in range(1, periods + 1):
-        at_s = time_s + k * filter_.period_s
-        found.append(filter_.step(nowhere, identity, length_m, at_s, (nan, -1, 0.0)))
-    position = np.array([one.position_m for one in found])
-    steps: Array = np.diff(position)
-    if filter_.road.is_ring:
-        lap = filter_.road.circumference_m
-        steps -= lap * np.round(steps / lap)
-    return Prediction(
-        time_s=np.array([k * filter_.period_s for k in range(periods + 1)]),
-        position_m=position[0] + np.concatenate([[0.0], np.cumsum(steps)]),
-        speed=np.array([one.speed for one in found]),
-        covariance=np.array([one.covariance[:2, :2] for one in found]),
-    )

@@ -33,8 +33,8 @@ class RoadFeed:
         self._waiting: deque[Sample] = deque(maxlen=DEPTH)
         self._is_held, self._has_road = False, False
         self._inputs = [
-            node.hear(RoadMessage, "road", self._on_road, LATCHED),
-            node.hear(MeasuredPositions, "measured", self._on_measured, STREAM),
+            node.listen(RoadMessage, "road", self._on_road, LATCHED),
+            node.listen(MeasuredPositions, "measured", self._on_measured, STREAM),
         ]
 
     def hold(self) -> None:

@@ -24,7 +24,6 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.service import Service
-from rclpy.subscription import Subscription
 from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 from sugiyama_msgs.msg import Progress
 
@@ -198,13 +197,8 @@ class PacedNode(Node):
         publisher.publish(message)
         self.published += 1
 
-    def listen(self, kind: type, topic: str, take: Callable[[Any], None], qos: QoSProfile) -> Subscription:
-        """Subscribe to a topic. A message that is not valid is counted and dropped."""
-        callback = receiver(kind, take, partial(self.refuse, topic))
-        return self.create_subscription(kind, topic, callback, qos, raw=True)
-
-    def hear(self, kind: type, topic: str, take: Callable[[Any], None], qos: QoSProfile) -> AnyPublisher:
-        """Subscribe as `listen` does, also to publishers that offer less than ``qos``, such as those of a sensor."""
+    def listen(self, kind: type, topic: str, take: Callable[[Any], None], qos: QoSProfile) -> AnyPublisher:
+        """Subscribe to a topic, whatever its publishers offer. A message that is not valid is counted and dropped."""
         return AnyPublisher(self, kind, topic, receiver(kind, take, partial(self.refuse, topic)), qos)
 
     def create_service(
