@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.simulation.collective import QUEUE_SPEED
-from sugiyama_ros.studies.rings import Ring, estimated, ring_of, run
+from sugiyama_ros.studies.rings import Ring, estimated, mean, ring_of, run
 from sugiyama_ros.studies.study import Answer, Asked, Study
 
 # The vehicles that the paper finds in the queue when the mean speed is smallest, and the heading of their share.
@@ -32,15 +32,13 @@ def _answer(asked: Asked) -> Answer:
     chasing = [np.isin(one, _CHASING) for one in orders for _ in seeds]
     found = np.array(list(asked.work.map(_swing, rings, chasing))).reshape(len(orders), len(seeds), 2)
     swings, queues = found[:, :, 0], found[:, :, 1]
-    complete = np.isfinite(swings)
-    runs = complete.sum(axis=1)
-    by_order = np.where(complete, swings, 0.0).sum(axis=1) / np.where(runs > 0, runs, np.nan)
+    runs, by_order = np.isfinite(swings).sum(axis=1), np.array([mean(of_order) for of_order in swings])
     shuffled = by_order[1:][np.isfinite(by_order[1:])]
     rows = (
         {
             "order": "as measured",
             "swing of the mean speed [m/s]": float(by_order[0]),
-            _QUEUE: _mean(queues[0]),
+            _QUEUE: mean(queues[0]),
             "share of all drivers": float(np.mean(chasing[0])),
             "runs": int(runs[0]),
         },
@@ -48,7 +46,7 @@ def _answer(asked: Asked) -> Answer:
             "order": f"shuffled, {len(shuffled)} ways",
             "swing of the mean speed [m/s]": float(shuffled.mean()) if len(shuffled) else float("nan"),
             "std over orders": float(shuffled.std(ddof=1)) if len(shuffled) > 1 else float("nan"),
-            _QUEUE: _mean(queues[1:]),
+            _QUEUE: mean(queues[1:]),
             "orders that swing more": int((shuffled > by_order[0]).sum()),
             "runs": int(runs[1:].sum()),
         },
@@ -58,8 +56,8 @@ def _answer(asked: Asked) -> Answer:
         axes = figure.subplots()
         for name, one in (("as measured", orders[0]), ("shuffled", orders[1])):
             shown = ring(drivers[one], asked.seed, jammed=True, length_m=length_m[one])
-            mean = _mean_speed(run(shown).speed, shown.period_s)
-            axes.plot(np.arange(len(mean)) / 3.0, mean, label=name)
+            average = _mean_speed(run(shown).speed, shown.period_s)
+            axes.plot(np.arange(len(average)) / 3.0, average, label=name)
         axes.set(xlabel="time [s]", ylabel="mean speed of all cars [m/s]")
         axes.legend()
 
@@ -79,20 +77,14 @@ def _swing(ring: Ring, chasing: NDArray[np.bool_]) -> tuple[float, float]:
     collision; chasing: (N,), whether each driver is one of these drivers.
     """
     speed = run(ring).speed
-    mean = _mean_speed(speed, ring.period_s)
-    if len(mean) * ring.period_s < 0.9 * ring.duration_s:
+    average = _mean_speed(speed, ring.period_s)
+    if len(average) * ring.period_s < 0.9 * ring.duration_s:
         return float("nan"), float("nan")
-    half = len(mean) // 2
-    slowest = half + np.argsort(mean[half:])[: max(1, half // 10)]
+    half = len(average) // 2
+    slowest = half + np.argsort(average[half:])[: max(1, half // 10)]
     stands = speed[slowest + round(0.5 * _SMOOTH_S / ring.period_s)] < QUEUE_SPEED
     share = float(stands[:, chasing].sum() / stands.sum()) if stands.any() else float("nan")
-    return float(np.std(mean[half:])), share
-
-
-def _mean(values: Array) -> float:
-    """Mean of the finite values; NaN if there are none."""
-    known = values[np.isfinite(values)]
-    return float(known.mean()) if len(known) else float("nan")
+    return float(np.std(average[half:])), share
 
 
 STUDY = Study(

@@ -128,14 +128,15 @@ def ring_of(measured: Trajectories) -> partial[Ring]:
     return partial(Ring, ring_m=measured.road.circumference_m or RING_M, length_m=measured.length_m)
 
 
+def mean(values: Array | Sequence[float]) -> float:
+    """Mean of the finite values; NaN if there are none."""
+    finite = np.asarray(values)[np.isfinite(values)]
+    return float(finite.mean()) if len(finite) else float("nan")
+
+
 def summed_up(found: Sequence[_Outcome]) -> dict[str, float]:
     """Count runs with a wave and with a collision, and average the runs without a collision."""
     complete = [o for o in found if not o.collided]
-
-    def mean(values: list[float]) -> float:
-        finite = [v for v in values if np.isfinite(v)]
-        return float(np.mean(finite)) if finite else float("nan")
-
     return {
         "runs": len(found),
         "with a wave": sum(o.wave for o in found),
