@@ -1,18 +1,21 @@
 """Settings of the documentation. ``make docs`` builds it, without network."""
 
+import os
 import sys
 from pathlib import Path
 
 from sugiyama_ros import __version__
 
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
+# notebooks call the commands of this environment
+os.environ["PATH"] = os.pathsep.join((str(Path(sys.executable).parent), os.environ.get("PATH", "")))
 
 project = "sugiyama_ros"
 author = "sugiyama_ros contributors"
 project_copyright = f"2026, {author}"
 release = version = __version__
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc", "reference"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc", "reference", "effect_pages"]
 exclude_patterns = ["_build", "_ext"]
 nitpicky = True
 

@@ -21,7 +21,7 @@ from sugiyama_ros.driver.parameters import defaults
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.driver import Formulation
-from sugiyama_ros.fit.model_file import read_model
+from sugiyama_ros.fit.model_file import drive_by, drivers_of, read_model
 from sugiyama_ros.formats.choices import Choices, choices_of, read_choices, reference_of
 from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.formats.table import tracks_of_frame
@@ -111,6 +111,7 @@ def simulate(
     parameters: Mapping[str, float] | None = None,
     effects: Mapping[str, Mapping[str, float]] | None = None,
     model: str | Path | None = None,
+    law: str = PAPERS,
     **settings: Any,
 ) -> Simulation:
     """Simulate drivers from rest on a ring or an open road.
@@ -125,6 +126,8 @@ def simulate(
         Effects on all drivers with their values, such as ``{"drag": {"c0": 0.3}}``.
     model : str or Path, optional
         Model file with parameters and effects of each driver.
+    law : str
+        Name of the law by which all drivers drive, such as ``"idm"``, with its usual values; the paper's by default.
     **settings
         Fields of `sugiyama_ros.simulation.experiment.Experiment`: ring_m [m] (0 for an open road), duration_s [s],
         gap_m [m], period_s [s], horizon, spread, seed, start ("jam" or "equal") and length_m [m].
@@ -158,7 +161,9 @@ def simulate(
     experiment.check(vehicles)
     rows = ROW.with_effects(defaults(vehicles))
     if model is not None:
-        rows = read_model(Path(model)).rows_of(np.arange(vehicles))
+        rows = drivers_of(Path(model), law).rows_of(np.arange(vehicles))
+    elif law != PAPERS:
+        rows = np.array([drive_by(row, law) for row in rows])
     return carry_out(experiment, changed(rows, parameters or {}, effects or {}))
 
 

@@ -225,8 +225,6 @@ def pages(app: Sphinx, config: Config) -> None:
     write("commands.md", commands())
     write("messages.md", messages())
     write("parameters.md", parameters())
-    about = "Every effect is one file in `sugiyama_ros/effects`. {doc}`/howto/effect` says how to add one of your own."
-    write("effects.md", extensions("Effects", about, sg.effects.values()))
     about = "Every law is one file in `sugiyama_ros/laws`. {doc}`/howto/law` says how to add one of your own."
     write("laws.md", extensions("Laws", about, sg.laws.values()))
     write("studies.md", studies())

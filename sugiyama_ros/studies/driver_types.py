@@ -15,6 +15,9 @@ from sugiyama_ros.studies.study import Answer, Asked, Study
 _PLACES, _MOST, _DRAWS = [SIGMA_A, V_STAR, KAPPA_V], 6, 200
 # Clusters that the figure shows, as in the paper; there must be more drivers than that.
 _SHOWN = 4
+# What drivers are whose sigma_a, v* or kappa_v is above the mean, and below it.
+_ABOVE, _BELOW = ("unsteady", "fast", "cautious"), ("steady", "slow", "aggressive")
+_NAMES = ("sigma_a [m/s²]", "v* [m/s]", "kappa_v [s]")
 
 
 def silhouette(points: Array, label: Ints) -> float:
@@ -58,11 +61,19 @@ def adjusted_rand(a: Ints, b: Ints) -> float:
     return (both - chance) / (0.5 * (rows + columns) - chance)
 
 
+def _type_of(points: Array) -> str:
+    """Name a type by its most distinct trait, as the paper does; points: (n, 3), standardised parameters."""
+    mean = points.mean(axis=0)
+    trait = int(np.argmax(np.abs(mean)))
+    return (_ABOVE if mean[trait] > 0.0 else _BELOW)[trait]
+
+
 def _answer(asked: Asked) -> Answer:
     """Cluster the drivers by standardised sigma_a, v* and kappa_v (Ward's method).
 
     The number of clusters with the largest silhouette is the best one. To see how stable the clusters are, estimates
-    are drawn within their errors and clustered again; the table has the agreement with the first clustering.
+    are drawn within their errors and clustered again; the table has the agreement with the first clustering. The figure
+    has the tree, and all three planes of the parameters.
     """
     fits = [fit for fit in calibrate(asked.measured, "paper") if fit.identified("v_star")]
     if len(fits) <= _SHOWN:
@@ -88,20 +99,26 @@ def _answer(asked: Asked) -> Answer:
                 "clusters": n,
                 "silhouette": silhouette(points, labels[n]),
                 "agreement of draws": float(np.mean(agreement)),
-                "sizes": " ".join(str(int(np.sum(labels[n] == k))) for k in np.unique(labels[n])),
+                "vehicles": "; ".join(
+                    f"{_type_of(points[own])}: {' '.join(str(fits[i].vehicle) for i in np.flatnonzero(own))}"
+                    for own in (labels[n] == k for k in np.unique(labels[n]))
+                ),
                 "drivers": len(fits),
             }
         )
 
     def draw(figure: Any) -> None:
-        left, right = figure.subplots(1, 2)
-        dendrogram(tree, labels=[fit.vehicle for fit in fits], ax=left)
-        left.set(xlabel="vehicle", ylabel="distance")
-        for k in np.unique(labels[_SHOWN]):
-            of = values[labels[_SHOWN] == k]
-            right.scatter(of[:, 1], of[:, 2], s=200.0 * of[:, 0], label=f"type {k}")
-        right.set(xlabel="v* [m/s]", ylabel="kappa_v [s]", title=f"{_SHOWN} clusters; size: sigma_a")
-        right.legend()
+        (tree_axes, first), (second, third) = figure.subplots(2, 2)
+        dendrogram(tree, labels=[fit.vehicle for fit in fits], ax=tree_axes)
+        tree_axes.set(xlabel="vehicle", ylabel="distance")
+        for axes, (x, y) in zip((first, second, third), ((0, 1), (1, 2), (2, 0)), strict=True):
+            for k in np.unique(labels[_SHOWN]):
+                own = labels[_SHOWN] == k
+                axes.scatter(values[own, x], values[own, y], label=_type_of(points[own]))
+            for fit, at in zip(fits, values, strict=True):
+                axes.annotate(str(fit.vehicle), at[[x, y]], fontsize="xx-small")
+            axes.set(xlabel=_NAMES[x], ylabel=_NAMES[y])
+        first.legend(fontsize="x-small")
 
     return Answer(tuple(rows), draw)
 

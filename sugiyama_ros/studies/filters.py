@@ -239,7 +239,8 @@ def _answer(asked: Asked) -> Answer:
     """
     curves: dict[str, list[_LearningCurve]] = {name: [] for name in _FILTERS}
     truths, fits = [], []
-    for drivers, t in jams(_SPREAD, asked.runs, asked.seed, DURATION_S):
+    for simulated in jams(_SPREAD, asked.runs, asked.seed, DURATION_S):
+        drivers, t = simulated.parameters, simulated.dense
         truths.append(np.log(drivers[:, list(_PLACES)]))
         for name, several in curves.items():
             several += asked.work.map(_follow, [(t, i, name, asked.seed) for i in range(CARS)])

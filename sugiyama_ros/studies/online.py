@@ -59,7 +59,8 @@ def _answer(asked: Asked) -> Answer:
     The true parameters of measured drivers are unknown, so for them the study compares predictive likelihoods.
     """
     errors, scaled, batch_errors = [], [], []
-    for drivers, t in jams(_SPREAD, asked.runs, asked.seed, DURATION_S):
+    for simulated in jams(_SPREAD, asked.runs, asked.seed, DURATION_S):
+        drivers, t = simulated.parameters, simulated.dense
         values, stds, _, _ = zip(*asked.work.map(followed, [(t, i) for i in range(CARS)]), strict=True)
         error = np.log(np.array(values) / drivers[:, None, _PLACES])
         errors.append(error)

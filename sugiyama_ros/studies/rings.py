@@ -77,10 +77,10 @@ def run(ring: Ring) -> Simulation:
     return carry_out(experiment, ring.drivers)
 
 
-def jams(spread: Mapping[int, float], runs: int, seed: int, duration_s: float) -> Iterator[tuple[Array, Trajectories]]:
+def jams(spread: Mapping[int, float], runs: int, seed: int, duration_s: float) -> Iterator[Simulation]:
     """Simulate drivers who differ from each other, out of a jam.
 
-    Yields parameters (N, P) and what is measured; a run in which cars collide is left out. Raises InputError.
+    A run in which cars collide is left out. Raises InputError.
     """
     collided = 0
     for k in range(runs):
@@ -90,7 +90,7 @@ def jams(spread: Mapping[int, float], runs: int, seed: int, duration_s: float) -
             drivers[:, place] *= np.exp(std * rng.standard_normal(CARS))
         simulated = run(Ring(drivers, seed + k, jammed=True, duration_s=duration_s))
         if not simulated.collisions:
-            yield drivers, simulated.dense
+            yield simulated
         collided += bool(simulated.collisions)
     if collided == runs:
         raise InputError(f"study: cars collide in all simulated runs ({runs}); give more --runs, or another --seed")
@@ -159,8 +159,17 @@ def _space_time(axes: Any, simulation: Simulation) -> None:
     axes.set(xlabel="time [s]", ylabel="position [m]")
 
 
+def _speeds(axes: Any, simulation: Simulation) -> None:
+    """Draw the speeds of all vehicles, vehicle 0 marked, and the range between the fastest and the slowest."""
+    time_s, speed = simulation.dense.time_s, simulation.speed
+    axes.plot(time_s, speed, color="tab:gray", linewidth=0.3, alpha=0.5)
+    axes.plot(time_s, speed[:, 0], color="tab:blue", linewidth=0.8, label="vehicle 0")
+    axes.plot(time_s, np.ptp(speed, axis=1), color="tab:red", linewidth=0.8, label="fastest - slowest")
+    axes.set(xlabel="time [s]", ylabel="speed [m/s]")
+
+
 def compare(asked: Asked, cases: Mapping[str, Callable[[int], Ring]]) -> Answer:
-    """Run all cases with the same seeds; the figure shows the first run of each.
+    """Run all cases with the same seeds; the figure shows the first run of each, in space and time and as speeds.
 
     cases: what makes a run from a seed, by the name of the case.
     """
@@ -173,11 +182,14 @@ def compare(asked: Asked, cases: Mapping[str, Callable[[int], Ring]]) -> Answer:
     def draw(figure: Any) -> None:
         columns = min(3, len(cases))
         lines = -(-len(cases) // columns)
-        places = iter(figure.subplots(lines, columns, squeeze=False).flat)
-        for (name, make), axes in zip(cases.items(), places, strict=False):
-            _space_time(axes, run(make(asked.seed)))
-            axes.set(title=name)
-        for axes in list(places):
-            axes.set_visible(False)
+        parts = np.reshape(figure.subfigures(lines, columns), -1)
+        for (name, make), part in zip(cases.items(), parts, strict=False):
+            simulated = run(make(asked.seed))
+            above, below = part.subplots(2, 1, sharex=True)
+            _space_time(above, simulated)
+            above.set(xlabel="")
+            above.set_title(name, fontsize="small")
+            _speeds(below, simulated)
+        figure.axes[1].legend(loc="upper right", fontsize="x-small")
 
     return Answer(rows, draw)

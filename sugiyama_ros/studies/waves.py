@@ -50,11 +50,19 @@ def _mean_driver(drivers: Array) -> Array:
 def _simulated(asked: Asked) -> Answer:
     """Simulate the estimated drivers on the measured ring, from equal gaps and out of a jam."""
     ring, cases = ring_of(asked.measured), {}
-    for factor, full_at in ((_PAPERS_FACTOR, 0.0), (FACTOR, 0.0), (_PAPERS_FACTOR, _FULL_NOISE_AT)):
-        drivers = estimated(asked, factor, full_at)
-        law = f", whole from {full_at:g} m/s on" if full_at else ""
+    papers = estimated(asked, _PAPERS_FACTOR)
+    papers[:, [SIGMA_X, SIGMA_V]] = 0.0
+    noises = {
+        f"{_PAPERS_FACTOR:g} sigma_a alone, as in the paper": papers,
+        f"{_PAPERS_FACTOR:g} sigma_a": estimated(asked, _PAPERS_FACTOR),
+        f"{FACTOR:g} sigma_a": estimated(asked, FACTOR),
+        f"{_PAPERS_FACTOR:g} sigma_a, whole from {_FULL_NOISE_AT:g} m/s on": estimated(
+            asked, _PAPERS_FACTOR, _FULL_NOISE_AT
+        ),
+    }
+    for noise, drivers in noises.items():
         for start, jammed in _STARTS.items():
-            cases[f"{start}, sigma_a times {factor:g}{law}"] = partial(ring, drivers, jammed=jammed)
+            cases[f"{start}, {noise}"] = partial(ring, drivers, jammed=jammed)
     cases["paper's mean parameters, out of a jam"] = partial(Ring, defaults(CARS), jammed=True)
     answer = compare(asked, cases)
     measured = collective_of(asked.measured)

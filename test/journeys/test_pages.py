@@ -44,6 +44,8 @@ GIVEN: Mapping[str, Mapping[str, Callable[[Path], object]]] = {
 }
 #: Pages about parts of one's own: they share one package, which is compiled once (test_own_parts.py).
 OWN_PARTS = tuple(f"docs/howto/{name}.md" for name in ("effect", "law", "format", "study"))
+#: Notebooks that `make docs` runs, which checks what they find.
+NOTEBOOKS = ("from_a_bag", "live_style", "one_driver", "other_law")
 #: A command that needs no shell.
 _PLAIN = re.compile(r"(?:\.venv/bin/)?(sugiyama [^|&;$`<*?\\]+)")
 
@@ -98,7 +100,7 @@ def with_blocks() -> Iterator[object]:
     """Each page that has blocks to run, as a parameter of a test."""
     for page in pages():
         name = name_of(page)
-        if name not in OWN_PARTS and any(block.is_run for block in blocks(page)):
+        if name not in OWN_PARTS and page.stem not in NOTEBOOKS and any(block.is_run for block in blocks(page)):
             yield pytest.param(page, id=name)
 
 
