@@ -8,12 +8,10 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from one_driver import OneDriver
 from rclpy.node import Node
-from rclpy.parameter import Parameter
-from std_srvs.srv import Trigger
 from sugiyama_msgs.msg import DriverParameters, DriverType, Innovation, MeasuredPositions, VehicleState
 from sugiyama_msgs.msg import Road as RoadMessage
 
-from sugiyama_ros.driver.parameters import NAMES, PARAMETERS, population
+from sugiyama_ros.driver.parameters import NAMES, population
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import OnlineFilter
@@ -134,16 +132,6 @@ def test_a_missing_position_is_predicted_over(stage, pair) -> None:
     assert estimator.health().level == OK
 
 
-def test_stamps_say_how_much_time_has_passed(stage, pair) -> None:
-    road, estimator = pair
-    road.drive(0, 20)
-    road.drive(23, 24)
-    stage.until(lambda: len(road.states) == 21)
-    assert values(estimator)["skipped"] == 3
-    assert road.states[-1].speed == pytest.approx(5.0, abs=1.0)
-    assert abs(road.innovations[-1].innovation_m) < 2.0
-
-
 def test_a_sample_that_comes_again_or_late_is_left_out(stage, pair) -> None:
     road, estimator = pair
     road.drive(0, 10)
@@ -240,16 +228,6 @@ def test_swapped_samples_are_sorted_in(stage) -> None:
         stage.nodes.remove(estimator)
         estimator.destroy_node()
     assert ends[0] == ends[1]
-
-
-def test_reset_on_request(stage, pair) -> None:
-    road, _estimator = pair
-    road.drive(0, 5)
-    stage.until(lambda: len(road.states) == 5)
-    assert stage.call(Trigger, "/drivers/reset", Trigger.Request()).success
-    road.drive(5, 6)
-    stage.until(lambda: len(road.innovations) == 6)
-    assert isnan(road.innovations[5].innovation_m)
 
 
 def test_parameters_are_published_once_a_second_of_the_data(stage, pair) -> None:
@@ -377,14 +355,3 @@ def test_samples_that_come_before_the_road_are_not_lost(stage, ring_csv: Path) -
     assert values(estimator)["samples"] == 0
     road.create_publisher(RoadMessage, "road", LATCHED).publish(RoadMessage(circumference_m=100.0, period_s=PERIOD_S))
     stage.until(lambda: values(estimator)["samples"] == 20)
-
-
-def test_parameters_have_ranges_and_descriptions(pair) -> None:
-    _, estimator = pair
-    for p in PARAMETERS:
-        descriptor = estimator.describe_parameter(p.name)
-        (allowed,) = descriptor.floating_point_range
-        assert (allowed.from_value, allowed.to_value) == (p.lower, p.upper)
-        assert p.unit in descriptor.description
-    (answer,) = estimator.set_parameters([Parameter("rho", value=1.5)])
-    assert not answer.successful

@@ -86,14 +86,6 @@ def test_levels_are_complete_when_all_topics_are() -> None:
     assert not levels.waiting
 
 
-def test_levels_skip_a_stamp_that_never_completes() -> None:
-    levels = Levels(["/x", "/y"])
-    levels.reached("/x", b"1")
-    levels.reached("/x", b"2")
-    assert levels.reached("/y", b"2")
-    assert not levels.waiting
-
-
 @pytest.mark.parametrize("steps", [1, 5])
 def test_a_late_topic_is_dropped(steps: int) -> None:
     levels = Levels(["/x", "/y", "/late"])

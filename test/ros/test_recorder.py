@@ -28,7 +28,6 @@ from sugiyama_ros.nodes.recorder import Recorder
 from sugiyama_ros.trajectories.placing import Positions
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
-RECORDER = [sys.executable, "-m", "sugiyama_ros.nodes.executables", "recorder"]
 
 
 ALWAYS = ("/diagnostics", "/rosout")
@@ -245,17 +244,3 @@ def test_a_directory_of_rosbag2_in_the_time_of_the_data(stage, tmp_path: Path) -
     assert sorted(times["/plain"])[0] == 100 * cdr_messages.NS
     assert sorted(times["/plain"])[-1] == 139 * cdr_messages.NS
     assert sorted(times["/h"]) == [138 * cdr_messages.NS, 139 * cdr_messages.NS]  # the other stamp is of another clock
-
-
-@pytest.mark.parametrize(
-    ("wrong", "why"),
-    [
-        ({"output": "out.mcap", "time_source": "moon"}, "give wall or data"),
-        ({"output": "out.mcap", "split_mb": 1.0}, "is one file; give a directory"),
-        ({"output": "."}, "is there already"),
-    ],
-)
-def test_a_recording_that_is_not_possible(stage, tmp_path: Path, wrong: dict[str, object], why: str) -> None:
-    given = {**wrong, "output": str(tmp_path / str(wrong["output"]))}
-    with pytest.raises((InputError, OutputError), match=why):
-        Recorder(parameter_overrides=[Parameter(name, value=value) for name, value in given.items()])

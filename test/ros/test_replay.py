@@ -123,13 +123,6 @@ def test_seek(stage, ring_csv: Path) -> None:
     assert (answer.success, answer.message) == (False, "99.6 s is not within the recording, 0 to 99.5 s")
 
 
-def test_loop(stage, ring_csv: Path) -> None:
-    listener, node = Listener(), replay(ring_csv, loop=True)
-    stage.add(node, listener)
-    stage.until(lambda: len(listener.samples) >= 500)
-    assert listener.step_numbers[:500] == [k % 200 for k in range(500)]
-
-
 def test_the_rate_is_kept(stage, ring_csv: Path) -> None:
     listener, node = Listener(), replay(ring_csv, rate=20.0)
     stage.add(node, listener)

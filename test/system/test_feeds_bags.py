@@ -198,20 +198,6 @@ def test_clocks_that_are_apart(tmp_path: Path) -> None:
     check(converted(bag, ODOM, "--bridge", bridge)[0], within_m=0.15)
 
 
-def test_time_that_begins_anew(tmp_path: Path) -> None:
-    """A simulation is reset after 20 s: the stamps begin anew, the log times do not."""
-    feeds = []
-    for car in range(CARS):
-        first = odometry(car, every(0.1, until_s=20.0))
-        again = odometry(car, every(0.1, until_s=20.0))
-        feeds += [first, [Recorded(o.topic, o.kind, o.log_s + 21.0, o.make) for o in again]]
-    tracks, said = converted(write(tmp_path / "a.mcap", *feeds))
-    assert "time begins anew 1 times" in said
-    assert tracks.runs == 2 * CARS
-    for part in ("1", "2"):
-        check(tracks.select(np.array([tracks.recording.at(k) == part for k in range(len(tracks))])))
-
-
 def px4(car: int, unit_s: float, boot_s: float) -> list[Recorded]:
     """A car of PX4: a number as stamp, an array as position, a quaternion with w first."""
 
@@ -383,17 +369,6 @@ def test_definitions_of_other_kinds(tmp_path: Path) -> None:
         bag = write(tmp_path / "a.mcap", *feeds, style=style)
         check(converted(bag)[0], unknown=0.001)
         assert len(document("echo", bag, "/car1/odom")) == 401
-
-
-def test_what_cannot_be_decoded_says_why(tmp_path: Path) -> None:
-    bag = write(tmp_path / "a.mcap", detections(every(0.1)), style=Style(definition=b""))
-    said = refused(bag, "/det")
-    assert "does not have its definition, and vision_msgs is not installed; install vision_msgs" in said
-    code, said = sugiyama("echo", bag, "/det")
-    assert code == 0
-    assert "vision_msgs is not installed" in said
-    said = refused(write(tmp_path / "b.mcap", odometry(0, every(0.1)), style=Style(definition=b"int32\n")))
-    assert "its definition (ros2msg) cannot be used; record the topic again" in said
 
 
 # --- frames

@@ -95,17 +95,6 @@ def test_comments_before_a_table_are_named_and_the_cure_works(sugiyama):
     is_the_cars(info(sugiyama, "cars.csv"))
 
 
-def test_two_decimal_points_in_one_table_are_refused(sugiyama):
-    lines = german(CARS, ";").splitlines()
-    lines[7] = lines[7].replace(",", ".")
-    Path("cars.csv").write_text("\n".join(lines) + "\n")
-    code, _, err = sugiyama("info", "cars.csv")
-    assert code == 2
-    assert (
-        "cars.csv:8: column position_m: '262.4' is not a number, or has another decimal point; correct the line" in err
-    )
-
-
 def clock(second: float) -> str:
     minutes, rest = divmod(second, 60.0)
     return f"{int(minutes) // 60:02}:{int(minutes) % 60:02}:{rest:04.1f}"
@@ -216,17 +205,6 @@ def test_types_of_a_data_frame(change):
     np.testing.assert_allclose(tracks.time_s, sg.read(CARS).time_s)
 
 
-def test_dates_and_missing_values_of_a_data_frame(tmp_path):
-    dates = CARS.assign(time_s=pd.Timestamp("2024-05-31 10:00") + pd.to_timedelta(CARS.time_s, unit="s"))
-    assert sg.read(dates).time_s.min() == 1717149600.0
-    assert sg.read(dates.assign(time_s=dates.time_s.dt.tz_localize("Europe/Berlin"))).time_s.min() == 1717142400.0
-    vehicle = CARS.vehicle.astype(object).where(CARS.index != 5, pd.NA)
-    found = sg.read(dates.assign(vehicle=vehicle, lane=pd.array([1, pd.NA] * 150, dtype="Int64")))
-    assert dict(found.about.dropped) == {"no vehicle": 1}
-    assert dict(sg.read(dates.assign(vehicle=vehicle)).about.dropped) == {"no vehicle": 1}
-    assert sg.read(dates.assign(vehicle=vehicle).dropna(subset="vehicle")).dense().position_m.shape == (100, 3)
-
-
 # ---- positions and speeds
 
 
@@ -283,19 +261,6 @@ def test_positions_that_contradict_the_speeds_are_refused_and_the_cure_works(sug
     columns = {"time_s": {"column": "Frame_ID", "factor": 0.1}, "vehicle": "Vehicle_ID", "s_m": place, "speed": "v_Vel"}
     with pytest.raises(InputError, match=r"but at 39 m/s by the speeds"):
         sg.read("ngsim.csv", columns=columns)
-
-
-def test_a_speed_without_a_unit_is_a_warning(tmp_path):
-    assert not any("speeds" in note for note in sg.read(CARS.assign(speed=12.0)).about.notes)
-    assert not any("speeds" in note for note in sg.read(CARS.assign(speed=43.2)).about.notes)
-    assert not any("speeds" in note for note in sg.read(CARS.assign(speed=0.0)).about.notes)
-    said = [note for note in sg.read(CARS.assign(speed=8.0)).about.notes if "speeds" in note]
-    assert said[0].startswith("warning: vehicles move at 12 m/s by their positions, but at 8 (no unit) by the speeds")
-    with pytest.raises(InputError, match="but at 8 m/s by the speeds"):
-        sg.read(CARS.assign(speed_mps=8.0))
-    CARS.assign(speed_mps=8.0).to_csv(tmp_path / "cars.csv", index=False)
-    with pytest.raises(InputError, match="but at 8 m/s by the speeds"):
-        sg.read(tmp_path / "cars.csv")
 
 
 # ---- pairs

@@ -65,30 +65,6 @@ def test_mcap_reads_it_by_its_index(bag: Path, encoded: list[tuple[str, int, byt
         assert schema.data.decode() == full_text(schema.name)
 
 
-def test_the_quality_of_service_is_rosbag2s(bag: Path) -> None:
-    yaml = pytest.importorskip("yaml")
-    with bag.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    assert summary is not None
-    infinite = {"sec": 9223372036, "nsec": 854775807}
-    for channel in summary.channels.values():
-        latched = channel.topic == "/road"
-        assert yaml.safe_load(channel.metadata["offered_qos_profiles"]) == [
-            {
-                "history": "keep_last",
-                "depth": 1 if latched else 10,
-                "reliability": "reliable",
-                "durability": "transient_local" if latched else "volatile",
-                "deadline": infinite,
-                "lifespan": infinite,
-                "liveliness": "automatic",
-                "liveliness_lease_duration": infinite,
-                "avoid_ros_namespace_conventions": False,
-            }
-        ]
-        assert channel.metadata["topic_type_hash"].startswith("RIHS01_")
-
-
 def test_rosbags_reads_it(bag: Path, encoded: list[tuple[str, int, bytes]]) -> None:
     from rosbags.highlevel import AnyReader
 
@@ -152,16 +128,3 @@ def test_our_bytes_are_those_of_ros(encoded: list[tuple[str, int, bytes]]) -> No
             numbers = ("position_m", "length_m", "d_m", "stamp_offset_s", "position_var")
             fields |= {key: fields[key].astype(float) for key in numbers}
         assert encode(name, **fields) == ours
-
-
-def test_what_ros_sends_is_decoded() -> None:
-    serialization = pytest.importorskip("rclpy.serialization")
-    from sugiyama_msgs.msg import VehicleState
-
-    sent = VehicleState(vehicle=3, position_m=1.5, covariance=np.arange(9.0), gap_m=float("inf"))
-    name = "sugiyama_msgs/msg/VehicleState"
-    decode = decoder(name, full_text(name))
-    assert decode is not None
-    got = plain(decode(bytes(serialization.serialize_message(sent))))
-    assert (got["vehicle"], got["position_m"], got["gap_m"]) == (3, 1.5, float("inf"))
-    assert got["covariance"] == list(range(9))

@@ -1,6 +1,5 @@
 """Outputs and odd circumstances as a user meets them: one line and exit code 2, and no file is lost."""
 
-import errno
 import os
 import resource
 import shutil
@@ -13,7 +12,6 @@ from pathlib import Path
 import pytest
 from journeys.terminal import Said
 
-from sugiyama_ros import cli
 from sugiyama_ros.formats.mcap_reader import Bag
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
@@ -142,30 +140,6 @@ def test_ctrl_c_while_a_command_is_loaded_ends_it_with_130(here, after_s):
         assert b"Traceback" not in said
 
 
-def test_nothing_is_said_of_an_object_that_ctrl_c_has_left_half_made(capsys, monkeypatch):
-    class Loaded:
-        def __del__(self):
-            self.file.close()
-
-    class Interrupted:
-        def __del__(self):
-            raise KeyboardInterrupt
-
-    class Broken:
-        def __del__(self):
-            raise RuntimeError("is no half-made object")
-
-    # the test runner has a hook of its own
-    monkeypatch.setattr(sys, "unraisablehook", cli._say_unless_half_made)
-    Loaded()
-    Interrupted()
-    Broken()
-    said = capsys.readouterr().err
-    assert "no half-made object" in said
-    assert "AttributeError" not in said
-    assert "KeyboardInterrupt" not in said
-
-
 def test_a_full_stdout_is_one_line(here):
     for arguments in (("info", "good.mcap"), ("echo", "good.mcap", "/measured"), ("--help",)):
         with Path("/dev/full").open("wb") as full:
@@ -194,15 +168,6 @@ def test_a_terminal_without_unicode_is_no_error(here):
     assert done.returncode == 0, done.stderr
     assert b"Stra\\xdfe.mcap" in done.stdout
     assert sugiyama("info", "Straße.mcap", env=ascii_only).returncode == 0
-
-
-def test_names_that_are_not_utf8(here):
-    name = os.fsdecode(b"b\xff")
-    (here / f"{name}.csv").write_text(GOOD)
-    assert sugiyama("convert", f"{name}.csv", f"{name}.mcap").returncode == 0
-    with Bag(here / f"{name}.mcap") as bag:
-        assert bag.info().metadata["sugiyama"]["source"] == "b\\xff.csv"
-    refused(sugiyama("run", f"{name}.mcap", "-o", "out.mcap"), "not UTF-8")
 
 
 @pytest.mark.parametrize("name", ["", ".", "/", "x" * 300 + ".mcap", "good.csv/out.mcap", "missing/out.mcap"])
@@ -249,16 +214,6 @@ def test_an_error_under_a_limit_of_memory_is_one_line(here):
     refused(sugiyama("study", preexec_fn=within(350)), "ulimit -v", "350 MB", "1024 MB")
     assert sugiyama("info", "good.mcap", preexec_fn=within(1030)).returncode == 0
     assert b"calibrate" in sugiyama("--help", preexec_fn=within(500)).stdout
-
-
-def test_errors_of_libraries_are_those_of_the_memory_only_under_a_limit(monkeypatch):
-    error = ImportError("failed to map segment")
-    assert cli._cause_outside(error) is None
-    monkeypatch.setattr(cli, "limit_bytes", lambda: 2 << 30)
-    said = cli._cause_outside(error)
-    assert "2048 MB" in said
-    assert str(error) in said
-    assert "No space" in cli._cause_outside(OSError(errno.ENOSPC, "No space", "a.csv"))
 
 
 def test_another_interruption_while_the_interpreter_ends_is_silent():

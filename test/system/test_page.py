@@ -19,9 +19,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from bokeh.document import Document
-from bokeh.models import ColumnDataSource, Div, GlyphRenderer, Plot, Select
+from bokeh.models import Div, GlyphRenderer, Select
 from bokeh.util.token import generate_jwt_token
-from diagnoses import WHERE, addition, document, fails, force, gains
+from diagnoses import addition, document, fails, force, gains
 from PIL import Image
 
 from sugiyama_ros.errors import InputError
@@ -30,7 +30,7 @@ from sugiyama_ros.page import live
 from sugiyama_ros.page.diagnosis import read_diagnosis
 from sugiyama_ros.page.feed import KEPT, Log, Status
 from sugiyama_ros.page.live import status_line
-from sugiyama_ros.page.recording import preferred, read_recording
+from sugiyama_ros.page.recording import read_recording
 from sugiyama_ros.page.report import detectable, report, write_report
 from sugiyama_ros.page.words import WHY, beside_the_verdict
 from sugiyama_ros.road import Road
@@ -81,12 +81,6 @@ def test_what_was_recorded_is_read_back(recorded):
     assert np.sum(list(r.weights.values()), axis=0) == pytest.approx(1.0)
 
 
-def test_a_page_of_trajectories_alone_says_what_was_measured(recorded):
-    text = report(read_recording(recorded.parent / "sim.mcap"), None)
-    assert "What was simulated" in text
-    assert "Where it fails" not in text
-
-
 def test_no_page_asks_for_anything_from_elsewhere(page):
     text = page.read_text()
     assert len(text) < 5_000_000
@@ -128,28 +122,6 @@ def test_failed_checks_are_named_on_the_card_and_all_checks_stand_below(recorded
     assert ("mean speed", "5 m/s", "5.1 m/s", "p 0.4", "holds") in rows
 
 
-def test_the_live_page_says_that_a_desired_speed_is_not_known():
-    feed = feed_of_a_critic({"base": 0.0})
-    log = Log(KEPT)
-    learnt = Log(KEPT)
-    for k in range(3):
-        log.add(float(k), 9.0, 0.1, 0.0, 0.1, 9.0 * k)
-        learnt.add(float(k), 10.0 if k < 2 else 90.0, 3.0, 0.2, 0.1)
-    feed.driver, feed.learnt, feed.vehicles, feed.followers, feed.lanes = {1: log}, {1: learnt}, [1], {1}, {}
-    feed.here = feed.led = {1}
-    feed.now, feed.adapted = {1: (18.0, 9.0)}, {1: (90.0, 3.0, 0.2, 0.1)}
-    document = Document()
-    live.page(feed)(document)
-    for callback in document.session_callbacks:
-        callback.callback()
-    for callback in document.session_callbacks:
-        callback.callback()
-    (source,) = [s for s in document.select({"type": ColumnDataSource}) if "v_star_low" in s.data]
-    assert np.isnan(source.data["v_star"][-1])
-    titles = {plot.title.text for plot in document.select({"type": Plot})}
-    assert "v* is not known from these data" in titles
-
-
 def test_what_the_data_would_have_shown_is_said_with_its_direction():
     about = {
         "reaction_delay": {"title": "reaction time", "parameters": {"delay": {"unit": "s", "meaning": "delay"}}},
@@ -164,18 +136,6 @@ def test_what_the_data_would_have_shown_is_said_with_its_direction():
     text = detectable({**DIAGNOSIS, "smallest_detectable": smallest, "about": about}).replace("\u00a0", " ")
     assert "delay: 0.03 s or more" in text
     assert "hardest braking: 3.4 m/s² or less" in text
-
-
-def test_tracks_have_a_page_without_runs_of_the_whole_road(recorded):
-    # recordings that have no places in common have no map over place and time
-    nowhere = {**WHERE["maps"][1], "first_edges": [], "bias": [], "flagged": []}
-    where = {when: {**WHERE, "maps": [WHERE["maps"][0], nowhere]} for when in ("before", "after")}
-    text = report(read_recording(recorded), document("explained", [PATCH], tracks=True) | {"where": where})
-    assert "Bias over speed and gap" in text
-    assert "Bias over time and position" not in text
-    assert "The model drives" not in text
-    assert "Free runs of all cars together" not in text
-    assert "error of one car behind its measured leader" in text
 
 
 # Boxes of all cells of the report, by the top: left, top, right, bottom [pixels].
@@ -594,15 +554,6 @@ def test_a_page_shows_a_critic_whose_models_change():
         "drag": [7.0],
         "second_leader": [2.0, 3.0],
     }
-
-
-def test_a_small_lead_of_the_critic_may_be_chance():
-    best, lead = preferred({"base": np.array([1.0, 0.03]), "drag": np.array([0.0, 0.97])})
-    assert (best, lead) == ("drag", pytest.approx(3.476, abs=1e-3))
-    assert "finds nothing clearly missing: drag leads by 3 nats, which may be chance." in beside_the_verdict(
-        None, best, (), lead
-    )
-    assert preferred({"base": np.array([0.0]), "drag": np.array([1.0])}) == ("drag", np.inf)
 
 
 @pytest.mark.parametrize(

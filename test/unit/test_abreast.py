@@ -14,7 +14,6 @@ from sugiyama_ros.filters.abreast import (
     linearised_of,
     predict,
     share_columns,
-    state_of,
     take_in,
 )
 from sugiyama_ros.filters.state import STATE, State
@@ -86,10 +85,3 @@ def test_update_is_the_update_of_a_kalman_filter(abreast, rng):
     for c, (mean, covariance) in enumerate(expected):
         np.testing.assert_allclose(abreast.mean[_LIVE, c], mean[_LIVE], rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(abreast.covariance[:, :, c][live], covariance[live], rtol=1e-12, atol=1e-12)
-
-
-def test_a_state_is_a_view_of_one_filter(abreast):
-    state = state_of.py_func(3, abreast, np.zeros((ABREAST, 2), np.int64))
-    state.mean[1], state.covariance[1, 2] = 7.0, 8.0
-    assert abreast.mean[1, 3] == 7.0
-    assert abreast.covariance[1, 2, 3] == 8.0

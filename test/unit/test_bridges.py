@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sugiyama_ros.bridges.bridge import BRIDGES, read_bridge, yaw
+from sugiyama_ros.bridges.bridge import BRIDGES, read_bridge
 from sugiyama_ros.bridges.frames import EARLY, Frames
-from sugiyama_ros.bridges.perception import Moments, Numbers, Perception, PerceptionSettings, RoadMoment
+from sugiyama_ros.bridges.perception import Moments, Perception, PerceptionSettings, RoadMoment
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.trajectories.centre_line import CentreLine, RoadLanes
 from sugiyama_ros.trajectories.placing import Placer, SeenVehicle
@@ -118,16 +118,6 @@ def test_a_bridge_of_ones_own(tmp_path: Path) -> None:
             read_bridge(path)
 
 
-def test_fields_that_are_no_numbers_are_refused() -> None:
-    message, _ = CASES["nav_msgs/msg/Odometry"]
-    odometry = BRIDGES["nav_msgs/msg/Odometry"]
-    for name, path in (("x", "header.frame_id"), ("y", "pose"), ("heading", "header.frame_id"), ("stamp", "pose.pose")):
-        with pytest.raises(InputError, match=r"is no (number|time); correct the bridge"):
-            list(replace(odometry, **{name: path}).seen(message, "/car", 0))
-    assert math.isnan(yaw(1e308, 0.0, 0.0, 1.0))
-    assert math.isnan(yaw(math.nan, 0.0, 0.0, 1.0))
-
-
 def transform(parent: str, child: str, time_s: float, x: float, y: float, angle: float) -> Any:
     one = Message(
         header=header(time_s, parent),
@@ -218,12 +208,6 @@ def test_a_vehicle_without_a_sample_is_not_gone() -> None:
     assert moments.counts.carried > 20
 
 
-def test_numbers_of_vehicles() -> None:
-    numbers = Numbers()
-    names = ("/car7/odom", "bus", "/van7/odom", "/car3/odom", "", "bus", "/det 5.0", "/det 0", None)
-    assert [numbers(name) for name in names] == [7, 8, 9, 3, -1, 8, 5, 0, -2]
-
-
 def perceived(frame: str = "") -> Perception:
     line = CentreLine(np.array([0.0, 1000.0]), np.zeros(2))
     return Perception(RoadLanes(["0"], [line], [3.5]), PerceptionSettings(frame=frame))
@@ -234,50 +218,7 @@ def odometry(time_s: float, x: float, frame: str = "map") -> Any:
     return Message(header=header(time_s, frame), pose=Message(pose=straight, covariance=[0.0] * 36))
 
 
-def detected(time_s: float, *names: str) -> Any:
-    boxes = [
-        Message(id=name, bbox=Message(center=odometry(time_s, 10.0 * k).pose.pose, size=Message(x=4.0)))
-        for k, name in enumerate(names)
-    ]
-    return Message(header=header(time_s), detections=boxes)
-
-
-ODOMETRY, DETECTIONS = (BRIDGES[f"{name}"] for name in ("nav_msgs/msg/Odometry", "vision_msgs/msg/Detection3DArray"))
-
-
-@pytest.mark.parametrize(
-    ("names", "why"),
-    [
-        (("", ""), "40 of 40 vehicles seen have no id"),
-        (("7", "7"), "40 of 40 vehicles seen share an id"),
-        (("7", "8"), ""),
-    ],
-)
-def test_live_ids_are_checked(names: tuple[str, ...], why: str) -> None:
-    perception = perceived()
-    samples = [s for k in range(20) for s in perception.take(detected(0.1 * k + 5.0, *names), DETECTIONS, "/det", k)]
-    assert perception.problem().startswith(why)
-    assert bool(samples) == (not why)
-    assert {vehicle for sample in samples for vehicle in sample.positions.vehicle} == ({7, 8} if samples else set())
-
-
-def test_live_stamps_are_checked() -> None:
-    perception, second = perceived(), 1_000_000_000
-    samples = []
-    for k in range(30):
-        samples += perception.take(odometry(0.0, 10.0 * k), ODOMETRY, "/a", second * (5 + k) // 10)
-    assert len(samples) == 29
-    assert [s.stamp_ns for s in samples[:2]] == [second // 2, second * 6 // 10]
-    assert "have stamp 0 and count as seen when the message came" in perception.problem()
-    same = perceived()
-    for k in range(30):
-        list(same.take(odometry(7.0, 10.0 * k), ODOMETRY, "/a", second * k // 10))
-    assert "have a stamp that the vehicle had before; set header.stamp, or give a bridge" in same.problem()
-    milliseconds = replace(ODOMETRY, stamp="time")
-    numbers = perceived()
-    given = [Message(**vars(odometry(0.0, 10.0 * k)), time=100 * k + 5) for k in range(30)]
-    with pytest.raises(InputError, match=r"runs 1e\+03 times as fast as the clock; give `stamp_unit: ms`"):
-        [list(numbers.take(one, milliseconds, "/a", second * k // 10)) for k, one in enumerate(given)]
+ODOMETRY = BRIDGES["nav_msgs/msg/Odometry"]
 
 
 def test_live_positions_wait_for_the_transform_after_them() -> None:

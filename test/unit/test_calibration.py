@@ -1,10 +1,8 @@
 """Calibration: its maximum, its errors and its bounds."""
 
 import os
-import pickle
 import signal
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +14,7 @@ from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import KAPPA_V, NAMES, SIGMA_A, SIGMA_NU, V_STAR, defaults, index
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters import paper
-from sugiyama_ros.fit.driver import ESTIMATED, PLAIN, JobMaker, SearchOptions, _Jobs, calibrate, regularised
+from sugiyama_ros.fit.driver import ESTIMATED, SearchOptions, calibrate, regularised
 from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.fit.standard_errors import end_of_profile
 from sugiyama_ros.road import Road
@@ -105,24 +103,6 @@ def test_a_population_narrows_what_single_drivers_leave_wide(jam, causal_fits, t
     assert error[0] < error[1]
     population.write(tmp_path / "model.yaml")
     assert read_model(tmp_path / "model.yaml").rows == pytest.approx(population.rows)
-
-
-def test_a_process_gets_what_its_drivers_see_and_makes_the_same_searches_of_it(jam):
-    gone = jam.position_m.copy()
-    gone[100:, 4] = gone[:50, 10] = np.nan  # one leaves, one comes later: their followers have other leaders then
-    for trajectories in (jam, replace(jam, position_m=gone)):
-        known = {v: defaults() * (1.0 + 0.01 * v) for v in trajectories.vehicle.tolist()}
-        maker, drivers = JobMaker(trajectories, "causal", ESTIMATED, known), [3, 9, 1, 21]
-        sent = pickle.dumps(_Jobs(maker, PLAIN, drivers))
-        assert len(sent) < len(pickle.dumps([maker(driver) for driver in drivers]))
-        for job, driver in zip(pickle.loads(sent), drivers, strict=True):
-            expected = maker(driver)
-            assert job.vehicle == expected.vehicle
-            np.testing.assert_array_equal(job.start, expected.start)
-            np.testing.assert_array_equal(job.followed.ahead, expected.followed.ahead)
-            for name in ("position_m", "identity", "length_m"):
-                arrays = (getattr(one.followed.chains[0], name) for one in (job, expected))
-                np.testing.assert_array_equal(*arrays)
 
 
 def test_any_parameters_may_be_estimated(jam):

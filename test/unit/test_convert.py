@@ -5,9 +5,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-import pyarrow.parquet as pq
 import pytest
-from pyarrow import compute
 
 from sugiyama_ros import cli
 from sugiyama_ros.formats.registry import read_tracks
@@ -87,38 +85,6 @@ def test_classes_and_csv(sugiyama: Run, two_lanes: Path) -> None:
     assert sugiyama("convert", two_lanes, "front.csv", "--reference", "front")[0] == 0
     shift = read_tracks(two_lanes).s_m - read_tracks(Path("front.csv")).s_m
     assert set(shift.round(9).tolist()) == {2.0, 6.0}
-
-
-def test_a_ring_in_csv_needs_its_circumference_again(sugiyama: Run, tmp_path: Path, monkeypatch) -> None:
-    """A table has no place for the circumference."""
-    monkeypatch.chdir(tmp_path)
-    rows = [f"{0.5 * i},{v},{20 * v + 2 * i}" for i in range(60) for v in range(2)]
-    Path("ring.csv").write_text("\n".join(["time_s,vehicle,position_m", *rows]) + "\n")
-    assert sugiyama("convert", "ring.csv", "out.csv", "--ring", "40")[0] == 0
-    code, _, said = sugiyama("info", "out.csv")
-    assert code == 2
-    assert "as on a ring; convert it with --ring METRES" in said
-    assert sugiyama("convert", "out.csv", "out.parquet", "--ring", "40")[0] == 0
-    assert "Ring:        40 m" in sugiyama("info", "out.parquet")[1]
-
-
-def test_times_of_a_wrong_unit_are_refused(sugiyama: Run, two_lanes: Path) -> None:
-    """Steps below a millisecond are no times of vehicles in seconds. Tracks in Parquet are believed otherwise."""
-    assert sugiyama("convert", two_lanes, "two.parquet")[0] == 0
-    table = pq.read_table("two.parquet")
-    place = table.column_names.index("time_s")
-    pq.write_table(table.set_column(place, "time_s", compute.multiply(table["time_s"], 1e-9)), "wrong.parquet")
-    code, _, said = sugiyama("convert", "wrong.parquet", "out.csv")
-    assert code == 2
-    assert "a sample every 4e-11 s; check the unit of the times" in said
-    assert not Path("out.csv").exists()
-
-
-def test_a_map_of_columns_is_read(sugiyama: Run, two_lanes: Path) -> None:
-    Path("map.yaml").write_text("vehicle: who\n")
-    two_lanes.write_text(two_lanes.read_text().replace("vehicle", "who", 1))
-    assert sugiyama("convert", two_lanes, "two.parquet")[0] == 2
-    assert sugiyama("convert", two_lanes, "two.parquet", "--columns", "map.yaml")[0] == 0
 
 
 @pytest.mark.parametrize(

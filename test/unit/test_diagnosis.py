@@ -1,27 +1,17 @@
 """Whole diagnoses and comparisons of small simulated rings whose truth is known."""
 
 import json
-import os
-import subprocess
-import sys
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
 
-from sugiyama_ros.diagnosis.candidates import candidates
 from sugiyama_ros.diagnosis.diagnose import diagnose
-from sugiyama_ros.diagnosis.refine import refined, without_folds
-from sugiyama_ros.diagnosis.score import scores
-from sugiyama_ros.driver.parameters import KAPPA_V, RHO, V_STAR, defaults
+from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW, index_of, switch_on
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.fit.joint import fit_base
-from sugiyama_ros.fit.model_file import read_model, write_model
-from sugiyama_ros.fit.preparation import prepare
-from sugiyama_ros.laws.registry import RIVALS, number_of
+from sugiyama_ros.fit.model_file import read_model
+from sugiyama_ros.laws.registry import number_of
 from sugiyama_ros.page.document import additions, document
 from sugiyama_ros.results import plain
 from sugiyama_ros.road import Road
@@ -44,12 +34,6 @@ def recording(effect: str = "", duration_s: float = 150.0, **values: float):
 
 
 @pytest.fixture(scope="module")
-def work():
-    with ThreadPoolExecutor(2) as pool:
-        yield pool
-
-
-@pytest.fixture(scope="module")
 def hidden():
     run = recording("slow_patch", 250.0, reduction=0.2, centre=20.0, width=25.0)
     return run, diagnose(run.measured, most=1, workers=2, seed=3)
@@ -59,23 +43,6 @@ def hidden():
 def nothing():
     run = recording()
     return run, diagnose(run.measured, workers=2, seed=3)
-
-
-def test_noises_are_fitted_to_what_the_mean_action_leaves(work):
-    """Held out as well: what the mean action does in a fold comes from a fit that has not seen the fold."""
-    rows, length = ROW.with_effects(defaults(CARS)), np.full(CARS, LENGTH_M)
-    rows[:, RHO] = 0.95
-    run = simulate(Simulator(rows, length, platoon(length, 4.0), Road(RING_M), np.random.default_rng(1)), 150.0)
-    assert not run.collisions
-    data = prepare(run.measured)
-    base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
-    (noises,) = (c for c in candidates(data) if c.name == "noise_constants")
-    fitted = refined(data, base, noises, (), work)
-    own, noisy = [V_STAR, KAPPA_V], list(noises.places)
-    assert np.array_equal(fitted.model.rows[:, own], base.model.rows[:, own])
-    assert not np.array_equal(fitted.model.rows[:, noisy], base.model.rows[:, noisy])
-    for before, after in zip(without_folds(data, base, work), without_folds(data, fitted, work), strict=True):
-        assert np.array_equal(after.rows[:, own], before.rows[:, own])
 
 
 def test_a_hidden_effect_is_added_and_makes_forecasts_better(hidden):
@@ -169,38 +136,6 @@ def test_drivers_of_another_law_are_not_explained():
     assert max(ahead, key=lambda name: ahead[name]) == "fvdm"
 
 
-def test_a_change_of_preferences_is_found_at_its_time(work):
-    """The change lies between two starting points, and is a third as strong as they assume."""
-    change = {"v_star_change": -0.035, "kappa_v_change": 0.07, "time": 38.0}
-    data = prepare(recording("preference_switch", 100.0, **change).dense)
-    base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
-    switch = next(c for c in candidates(data) if c.name == "preference_switch")
-    best = max(scores(data, base, [switch], work, with_forces=False), key=lambda one: one.gain)
-    fitted = refined(data, base, best.candidate, [best], work)
-    found = dict(zip(switch.parameters, fitted.model.rows[0, switch.places], strict=True))
-    # Wilks: three parameters gain 7.8 nats by chance in one of 1000 recordings
-    assert fitted.log_likelihood - base.log_likelihood > 7.8
-    assert found["time"] == pytest.approx(38.0, abs=5.0)
-    assert found["v_star_change"] < -0.01
-
-
-@pytest.mark.parametrize("phase", [0.0, 0.75])
-def test_a_camera_off_the_centre_scores_at_every_angle_what_a_fit_gains(work, phase):
-    """Sine and cosine are scored one at a time, and fitted together."""
-    angle = np.pi * (phase + 0.125)
-    run = recording("sensor_eccentricity", cosine=1.5 * np.cos(angle), sine=1.5 * np.sin(angle))
-    data = prepare(run.measured)
-    base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
-    camera = [c for c in candidates(data) if c.name == "sensor_eccentricity"]
-    (one,) = scores(data, base, camera, work, with_forces=False)
-    fitted = refined(data, base, one.candidate, [one], work)
-    gained = fitted.log_likelihood - base.log_likelihood
-    assert gained > 20.0
-    assert one.gain == pytest.approx(gained, rel=0.5)
-    found = fitted.model.rows[0, [index_of("sensor_eccentricity", name) for name in ("cosine", "sine")]]
-    assert np.arctan2(*found[::-1]) == pytest.approx(angle, abs=0.3)
-
-
 def test_a_model_file_gives_the_model_back(hidden, tmp_path):
     run, d = hidden
     path = tmp_path / "model.yaml"
@@ -215,59 +150,3 @@ def test_a_model_file_gives_the_model_back(hidden, tmp_path):
     rows[np.ix_(rows[:, patch[0]] == 0.0, patch)] = 0.0
     assert read.rows_of(run.dense.vehicle) == pytest.approx(rows)
     assert yaml.safe_load(path.read_text())["shared_std"]["slow_patch.reduction"] > 0.0
-
-
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("[1, 2", "model.yaml"),
-        ("nonsense: 3\n", "model file of format 1"),
-        ("!!python/object/apply:os.system ['true']\n", "model.yaml"),
-    ],
-)
-def test_a_bad_model_file_is_one_clear_line(tmp_path, text, says):
-    path = tmp_path / "model.yaml"
-    path.write_text(text)
-    with pytest.raises(InputError, match=says) as error:
-        read_model(path)
-    assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize("classes", ["[]", "[{share: -1, parameters: {}}]", "3", "[{share: 1}]"])
-def test_bad_classes_in_a_model_file_are_one_clear_line(hidden, tmp_path, classes):
-    _, d = hidden
-    path = tmp_path / "model.yaml"
-    write_model(path, d.data, d.final.fit)
-    path.write_text(path.read_text() + f"classes: {classes}\n")
-    with pytest.raises(InputError, match=r"model\.yaml: classes: .*; give share and every parameter") as error:
-        read_model(path)
-    assert "\n" not in str(error.value)
-
-
-def test_compare_on_the_command_line(hidden, tmp_path):
-    run, d = hidden
-    d.save(tmp_path / "model.yaml")
-    t = replace(run.dense, position_m=run.dense.position_m[:151])
-    lines = ["time_s,vehicle,position_m,length_m"]
-    lines += [f"{k / 3.0:.6f},{v},{x:.5f},{LENGTH_M}" for k, row in enumerate(t.position_m) for v, x in enumerate(row)]
-    (tmp_path / "run.csv").write_text("\n".join(lines) + "\n")
-    command = [sys.executable, "-m", "sugiyama_ros.cli", "compare", "run.csv", "--ring", str(RING_M)]
-
-    def run_with(*arguments):
-        return subprocess.run(
-            [*command, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False, env=os.environ
-        )
-
-    done = run_with("--model", "model.yaml", "--json")
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
-    rivals = [name for law in RIVALS for name in (law, f"{law}_least_squares")]
-    names = ["base", "file: slow_patch", *rivals, "base, simulated"]
-    assert [m["name"] for m in found["models"]] == [n for n in names if n != "constant_speed_least_squares"]
-    scored = {m["name"]: m["loglik_per_sample"] for m in found["models"]}
-    assert scored["file: slow_patch"] > scored["base"] > scored["constant_speed"]
-    assert found["measured"]["mean_speed"] > 0.0
-    done = run_with("--effects", "telepathy")
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.startswith("error: effect 'telepathy'")
-    assert done.stderr.count("\n") == 1

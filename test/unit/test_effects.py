@@ -304,19 +304,6 @@ def test_any_set_of_effects_combines():
     assert [s.innovation_m for s in steps] == pytest.approx(batch.innovation_m, abs=1e-8, nan_ok=True)
 
 
-@pytest.mark.parametrize("name", ["drag", "actuation_lag", "outlier_noise"])
-def test_noises_are_learnt_beside_an_effect(name):
-    rows = switch_on(ROW.with_effects(drivers()), name, ACTING[name])
-    t = recording(rows, duration_s=60.0).dense
-    chain, online = chain_behind(t, 1), OnlineFilter(t.period_s, t.road, rows[1])
-    for k in range(len(chain.position_m)):
-        online.step(chain.position_m[k], chain.identity[k], chain.length_m[k], k * t.period_s, NOBODY)
-    learnt = online.learnt
-    assert np.isfinite(learnt.mean).all()
-    assert np.linalg.eigvalsh(learnt.covariance).min() > 0.0
-    assert 0.5 < np.exp(learnt.mean[0]) / rows[1, SIGMA_NU] < 2.0
-
-
 def test_an_effect_added_in_mid_run_keeps_what_was_learnt():
     t = acting_recording("drag").dense
     chain = chain_behind(t, 0)

@@ -180,19 +180,6 @@ def test_the_online_filter_starts_anew_after_a_reset(jam):
     assert [online.step(*s).innovation_m for s in samples] == pytest.approx(first, abs=0.0, nan_ok=True)
 
 
-def test_a_missing_sample_is_predicted_over_and_not_scored(with_holes):
-    chain = chain_behind(with_holes, 4)
-    missing = np.isnan(chain.position_m[:, 0])
-    assert 20 < missing.sum() < 50
-    filtered = filter_chain(chain, population())
-    assert not filtered.scored[missing].any()
-    assert np.isnan(filtered.innovation_m[missing]).all()
-    later = missing & (np.arange(len(missing)) > 10)
-    assert np.isfinite(filtered.mean).all()
-    before, after = filtered.innovation_var[:-1][later[1:]], filtered.innovation_var[1:][later[:-1]]
-    assert np.median(after) > np.median(before)  # the prediction after a missing sample is less certain
-
-
 def test_nothing_depends_on_where_the_ring_begins(jam):
     m = jam.dense
     shifted = Trajectories(m.road.wrap(m.position_m + 100.0), m.length_m, m.vehicle, m.road, m.period_s)
@@ -251,19 +238,6 @@ def test_a_filter_that_begins_with_an_outlier_finds_the_vehicle(jam, wrong, off_
         chain = chain_behind(replace(jam.dense, position_m=spoiled), driver)
         filtered, other = filter_chain(chain, row), filter_chain(chain, plain)
         assert filtered.mean[20, 1] == pytest.approx(other.mean[20, 1], abs=filtered.covariance[20, 1, 1] ** 0.5)
-
-
-def test_a_new_leader_starts_from_nothing():
-    t = np.arange(60)[:, None]
-    x = np.array([0.0, 20.0, 60.0]) + 5.0 * DT * t
-    x[30:, 1] = np.nan
-    road = Trajectories(x, np.full(3, 4.0), np.arange(3), Road(), DT)
-    chain = chain_behind(road, 0)
-    assert chain.identity[29].tolist() == [0, 1, 2]
-    assert chain.identity[30].tolist() == [0, 2, -1]
-    filtered = filter_chain(chain, population())
-    assert np.isfinite(filtered.mean).all()
-    assert filtered.mean[-1, 4] == pytest.approx(x[-1, 2], abs=0.5)
 
 
 def test_the_papers_gradient_is_the_slope(jam):

@@ -19,7 +19,7 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, ChunkIndex, DataEnd, Footer, Header, Message, Schema, Statistics
 from mcap.writer import CompressionType, Writer
 
-from sugiyama_ros.errors import InputError, OutputError
+from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.cdr import Encoder
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.convert import write_trajectories
@@ -187,39 +187,6 @@ def renamed(path: Path, out: Path, name: Callable[[str], str], times: int = 1) -
                 assert schema is not None
                 number = bag.topic(name(channel.topic), schema.name)
                 bag.write(number, message.data, message.log_time, message.publish_time)
-
-
-def test_bags_without_one_road_and_one_measured(tmp_path: Path) -> None:
-    write_trajectories(ring(), tmp_path / "a.mcap")
-    renamed(tmp_path / "a.mcap", tmp_path / "b.mcap", lambda topic: topic.replace("road", "street"))
-    assert "no topic `road`" in refused(tmp_path / "b.mcap")
-    renamed(tmp_path / "a.mcap", tmp_path / "c.mcap", lambda topic: topic, times=2)
-    assert "time goes backward, as in a replay that loops" in refused(tmp_path / "c.mcap")
-    assert "no topic `road`" in refused(bag_of(tmp_path / "d.mcap", 3))
-
-
-def test_bags_of_the_older_definition(tmp_path: Path) -> None:
-    """Before there were lanes, the message ended with the lengths."""
-    write_trajectories(ring(), tmp_path / "a.mcap")
-    with (tmp_path / "a.mcap").open("rb") as stream, (tmp_path / "b.mcap").open("wb") as out:
-        writer = Writer(out)
-        writer.start(profile="ros2")
-        numbers: dict[str, int] = {}
-        for schema, channel, message in make_reader(stream).iter_messages():
-            assert schema is not None
-            text, _, others = schema.data.decode().partition("=" * 80)
-            data = message.data
-            if channel.topic == "/measured":
-                text = text[: text.index("# What not every source knows")]
-                data = data[:-16]  # four empty sequences
-            if channel.topic not in numbers:
-                of = writer.register_schema(schema.name, "ros2msg", f"{text}{'=' * 80}{others}".encode())
-                numbers[channel.topic] = writer.register_channel(channel.topic, "cdr", of)
-            writer.add_message(numbers[channel.topic], message.log_time, data, message.publish_time)
-        writer.finish()
-    new, old = (read_tracks(tmp_path / f"{name}.mcap").dense() for name in "ab")
-    assert np.array_equal(old.position_m, new.position_m)
-    assert np.array_equal(old.length_m, new.length_m)
 
 
 # --- damaged and hostile files
@@ -446,15 +413,6 @@ def test_recover_leaves_out_what_is_damaged(tmp_path: Path) -> None:
     assert done.messages == pytest.approx(20_000 * kept, abs=2_600)
     assert done.lost_bytes > 0
     assert read_all(tmp_path / "c.mcap") == done.messages
-
-
-def test_nothing_to_recover(tmp_path: Path) -> None:
-    whole = bag_of(tmp_path / "a.mcap", 100).read_bytes()
-    (tmp_path / "b.mcap").write_bytes(whole[:100])
-    assert "no whole message" in refused(tmp_path / "b.mcap", lambda path: recover(path, tmp_path / "c.mcap"))
-    with pytest.raises(OutputError, match="is also read by this command"):
-        recover(tmp_path / "a.mcap", tmp_path / "a.mcap")
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.mcap", "b.mcap"]
 
 
 # --- house rules

@@ -137,26 +137,3 @@ def test_roads_that_part_are_roads_of_their_own(tmp_path: Path) -> None:
     tracks = read_tracks(path)
     assert tracks.road.used() == ("in", "left")
     assert tracks.leader.values()[tracks.start[1:] - 1].tolist() == [None, None, "b"]
-
-
-def test_xml_without_vehicles(tmp_path: Path) -> None:
-    path = tmp_path / "fcd.xml"
-    path.write_text('<fcd-export><timestep time="0.00"/></fcd-export>')
-    with pytest.raises(InputError, match="no samples; write it with sumo --fcd-output"):
-        read_tracks(path)
-
-
-def test_lengths_from_gaps(tmp_path: Path) -> None:
-    path = tmp_path / "fcd.xml"
-    lines = ["<fcd-export>"]
-    for i in range(20):
-        lines.append(f'<timestep time="{i}">')
-        for name, pos, leader, gap in (("a", 50.0, "", -1.0), ("b", 30.0, "a", 8.0), ("c", 10.0, "b", 15.5)):
-            said = f'type="t" speed="10" pos="{pos + 10 * i}" lane="e_0" leaderID="{leader}" leaderGap="{gap}"'
-            lines.append(f'<vehicle id="{name}" {said}/>')
-        lines.append("</timestep>")
-    path.write_text("\n".join([*lines, "</fcd-export>"]))
-    tracks = read_tracks(path)
-    assert tracks.length_m[tracks.start[:-1]].tolist() == [12.0, 4.5, 5.0]
-    note = "lengths of 2 vehicles follow from the gaps of those behind; every other vehicle counts as 5 m long"
-    assert note in tracks.about.notes

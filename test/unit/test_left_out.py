@@ -1,7 +1,6 @@
 """Recordings with so many drivers that a diagnosis takes some of them only."""
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +8,7 @@ import pytest
 from benchmarks.speed.timing import jam
 from sugiyama_ros.diagnosis.diagnose import diagnose
 from sugiyama_ros.fit.joint import start_model
-from sugiyama_ros.fit.preparation import prepare, prepare_stretches, within
+from sugiyama_ros.fit.preparation import prepare, within
 from sugiyama_ros.fit.recording import MOST_SAMPLES, some_drivers
 from sugiyama_ros.fit.score import evaluate
 from sugiyama_ros.page.document import document
@@ -50,22 +49,6 @@ def test_the_chosen_drivers_are_predicted_as_among_all(recording):
         apart = evaluate(chosen, start_model(chosen, chosen.even.individual()), work)
         among = evaluate(alike, start_model(alike, alike.even.individual()), work)
     assert np.array_equal(apart.log_likelihood, among.log_likelihood, equal_nan=True)
-
-
-def test_the_same_drivers_with_more_decisions(recording):
-    road = recording.dense()
-    road = replace(road, position_m=road.position_m[::3], period_s=3 * road.period_s)
-    sparse, most = tracks_of(road), CARS * len(road.position_m) // 2
-    usual, finer = prepare(sparse, most=most), prepare(sparse, 4, most)
-    assert 1 < usual.drivers < CARS
-    assert usual.vicinity.names == finer.vicinity.names
-
-
-def test_some_drivers_of_tracks(recording):
-    everybody = prepare_stretches(recording)
-    chosen = prepare_stretches(recording, most=everybody.drivers * everybody.samples // 2)
-    assert chosen.drivers + chosen.left_out == everybody.drivers
-    assert set(chosen.vicinity.names) < set(everybody.vicinity.names)
 
 
 def test_the_verdict_says_how_many_drivers_it_is_about(recording, monkeypatch):

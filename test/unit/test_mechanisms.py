@@ -6,7 +6,7 @@ from scipy.stats import chi2
 
 from sugiyama_ros.driver.parameters import defaults, index
 from sugiyama_ros.driver.utility import ACTIONS, mean_action
-from sugiyama_ros.effects.registry import EFFECTS, MECHANISM, ROW, switch_on
+from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.filters.causal import log_likelihood
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.road import Road
@@ -92,14 +92,6 @@ def test_the_likelihood_is_largest_at_the_delay_of_the_second_generator(delay_s)
     assert found[2] > max(first, total(measured, rows)) + np.log(1e4)
 
 
-def test_fear_of_the_second_vehicle_is_found_in_the_utility():
-    measured, rows = recorded(second_generator(1, second=0.5)), rows_of()
-    found = [
-        total(measured, switch_on(rows, "second_leader_utility", {"weight": w, "share": 0.5})) for w in (0.0, 0.5, 2.0)
-    ]
-    assert int(np.argmax(found)) == 1
-
-
 @pytest.mark.parametrize(("delay_s", "share"), [(1.0 / 3.0, 0.0), (0.5, 0.5), (1.0, 0.0)])
 @pytest.mark.parametrize("form", ["reaction_delay_others", "reaction_delay_all"])
 def test_the_simulator_remembers_exactly(form, delay_s, share):
@@ -117,10 +109,3 @@ def test_the_simulator_remembers_exactly(form, delay_s, share):
     own = speed if form == "reaction_delay_all" else s.speed[0]
     expected = mean_action(gap, own, leader_speed, s.parameters[0], ACTIONS, PERIOD_S, HORIZON)
     assert s.held[0] == pytest.approx(expected, abs=1e-9)
-
-
-def test_every_form_belongs_to_a_mechanism():
-    assert MECHANISM["reaction_delay_all"] == "reaction_delay"
-    assert {MECHANISM[form.name] for e in EFFECTS.values() for form in e.forms} == {
-        e.name for e in EFFECTS.values() if e.forms
-    }

@@ -6,13 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults, population
+from sugiyama_ros.driver.parameters import SIGMA_A, SIGMA_NU, V_STAR, defaults, population
 from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.filters.chain import Adaptation
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.noise import Learning
 from sugiyama_ros.filters.online import OnlineFilter
-from sugiyama_ros.fit.classes import DriverTypes
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, evenly, platoon, simulate
 
@@ -128,39 +127,3 @@ def test_a_fall_of_the_desired_speed_is_noticed_and_followed():
             # within 100 s the desired speed is known again
             assert online.parameters[V_STAR] == pytest.approx(0.85 * defaults()[V_STAR], rel=0.05)
     assert soon >= 7
-
-
-def test_an_effect_of_the_measurement_leaves_the_allowance_for_outliers(jam):
-    """A sample that is 2 m off is as likely with a negligible effect as without the effect."""
-    chain = chain_behind(jam, 3)
-    position = chain.position_m[:60].copy()
-    position[50, 0] += 2.0
-    row = switch_on(ROW.with_effects(population()), "sensor_eccentricity", {"cosine": 1e-9})
-    densities = []
-    for online in (OnlineFilter(DT, jam.road), OnlineFilter(DT, jam.road, row)):
-        steps = zip(position, chain.identity, chain.length_m, strict=False)
-        densities.append([online.step(*s).log_likelihood for s in steps])
-    np.testing.assert_allclose(*densities, rtol=1e-6)
-    assert min(densities[0][40:]) == densities[0][50] < -3.0
-
-
-def test_the_probability_of_a_drivers_type_is_right(jam):
-    """Two types share the jam. The second type has a risk premium that is 1.5 times as large; the noises agree."""
-    rows = np.array([defaults(), defaults()])
-    rows[:, KAPPA_V] = 0.21, 0.32
-    drivers = rows[np.arange(22) % 2]
-    length = np.full(22, 4.33)
-    start = platoon(length, 2.0)
-    t = simulate(Simulator(drivers, length, start, Road(230.0), np.random.default_rng(2)), 60.0).dense
-    types = DriverTypes(np.array([0.5, 0.5]), rows)
-    scores = []
-    for driver in range(22):
-        online = OnlineFilter(DT, t.road)
-        assert types.probabilities(online.learnt, online.prior) == pytest.approx([0.5, 0.5])
-        follow(t, driver, online)
-        scores.append(types.probabilities(online.learnt, online.prior)[driver % 2])
-    score = np.array(scores)
-    # an answer given with probability p is right with probability p: the number of hits is within 3 std of the sum of p
-    sure, hits = np.maximum(score, 1.0 - score), score > 0.5
-    assert abs(hits.sum() - sure.sum()) < 3.0 * np.sqrt(np.sum(sure * (1.0 - sure))) + 1.0
-    assert hits.sum() > 18

@@ -1,6 +1,5 @@
 """The compiled step of the online filter says what the step on filterpy says."""
 
-import copy
 from dataclasses import replace
 
 import numpy as np
@@ -120,20 +119,6 @@ def test_chains_of_other_lengths(jam, vehicles):
     assert_equal(pair(jam, vehicles=vehicles), samples_of(jam, 4, vehicles))
 
 
-def test_other_vehicles_in_the_chain(jam):
-    """The leader changes, there is none for a while, and at last the driver is another one."""
-    samples = [list(s) for s in samples_of(jam, 3)]
-    other = [list(s) for s in samples_of(jam, 9)]
-    for k, sample in enumerate(samples):
-        if 60 <= k < 90:
-            # the leader has left the lane
-            for part in range(3):
-                sample[part] = sample[part][[0, 2, 1]]
-        if 120 <= k < 140:
-            sample[1] = np.array([sample[1][0], -1, -1])
-    assert_equal(pair(jam), [*samples[:200], *other[200:]])
-
-
 def test_an_open_road():
     t = recorded(defaults(5), 60.0, 0.0)
     for driver in (0, 4):
@@ -170,17 +155,6 @@ def test_reset_recall_and_other_effects(jam):
         one.change(switch_on(ROW.with_effects(population()), "drag", {"c0": 0.2, "c2": 0.003}))
     assert_same_knowledge(*filters)
     assert_equal(filters, samples[140:200])
-
-
-def test_a_copy_goes_its_own_way(jam):
-    samples = list(samples_of(jam, 5))
-    first = OnlineFilter(jam.period_s, jam.road)
-    for sample in samples[:60]:
-        first.step(*sample)
-    second, state = copy.deepcopy(first), first.kalman.x.copy()
-    ahead = [second.step(*sample).speed for sample in samples[60:90]]
-    assert np.array_equal(first.kalman.x, state)
-    assert [first.step(*sample).speed for sample in samples[60:90]] == ahead
 
 
 def test_samples_at_any_time(jam):

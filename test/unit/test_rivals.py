@@ -66,16 +66,6 @@ def test_a_run_starts_anew_from_the_measured_state_after_a_break():
     assert errors[203] == pytest.approx(x[203] - (x[202] + DT * max(v[201] + DT * a, 0.0)), abs=1e-12)
 
 
-def test_no_driver_drives_backward():
-    """A driver at 1 m/s, 3 m behind a standing leader, stops and stays."""
-    still = np.zeros(60)
-    speed = np.full(60, 1.0)
-    f = Following(still, speed, still + 3.0, still, half_lengths_m=0.0, period_s=DT)
-    position = -gap_errors(LAWS[0], IDM, f, np.ones(60, dtype=bool))[1:]
-    assert np.all(np.diff(position) >= 0.0)
-    assert 0.0 < position[-1] < 3.0
-
-
 def test_too_little_data_is_one_clear_line():
     f = following(follow(idm, TRUTH["idm"]))
     with pytest.raises(InputError, match=r"^vehicle 7: 5 samples cannot determine 5 parameters of idm; give more$"):

@@ -9,14 +9,12 @@ import pytest
 from sugiyama_ros.diagnosis.forecast import forecasts, surroundings
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW
-from sugiyama_ros.fit.joint import fit_base, start_model
+from sugiyama_ros.fit.joint import start_model
 from sugiyama_ros.fit.preparation import prepare
 from sugiyama_ros.fit.recording import FOLDS
 from sugiyama_ros.fit.score import evaluate, filtered_states
 from sugiyama_ros.fit.simulated import resample
 from sugiyama_ros.fit.smooth_positions import (
-    Evenness,
-    apart_if_smoothed,
     measured,
     measured_every,
     smoothing_window,
@@ -51,19 +49,6 @@ def test_empty_samples_come_in_between_and_go_again(slow):
     assert again.period_s == pytest.approx(slow.period_s)
     assert with_short_periods(finer) is finer
     assert measured(slow) is slow
-
-
-def test_a_fit_settles_on_the_same_parameters_for_drivers_and_for_those_ahead(slow):
-    data, own = prepare(tracks_of(slow)), (SIGMA_NU, SIGMA_A, V_STAR, KAPPA_V)
-    with ThreadPoolExecutor(1) as work:
-        found = fit_base(data, own, work)
-        settled = evaluate(data, replace(found.model, ahead=found.model.rows), work)
-        true = ROW.with_effects(defaults(CARS))
-        truth = evaluate(data, replace(found.model, rows=true, ahead=true), work)
-    assert settled.total == pytest.approx(found.log_likelihood, abs=2.0)
-    assert found.log_likelihood > truth.total
-    # half of chi-squared of four parameters for each driver; its 99.9 % quantile for 32 degrees of freedom is 31
-    assert found.log_likelihood < truth.total + 31.3
 
 
 def test_a_filter_knows_its_errors_between_pictures_that_are_a_second_apart(slow):
@@ -107,28 +92,6 @@ def test_the_window_of_a_smoother_is_found(window):
     way = 12.0 * time + 20.0 * np.sin(0.15 * time)
     assert smoothing_window((way + noise).T, 0.1) == 0
     assert smoothing_window(smoothed(way + noise, window).T, 0.1) == window
-
-
-def test_smoothed_positions_count_most_of_a_window_apart():
-    def apart(window, period_s, roughness_m=1.0):
-        return apart_if_smoothed(window, Evenness(roughness_m, period_s))
-
-    assert [apart(window, 0.1) for window in (0, 1, 4, 7, 11, 30)] == [1, 1, 3, 6, 8, 8]
-    assert apart(21, 0.04) == 16
-    assert [apart(9, period_s) for period_s in (1.0 / 3.0, 0.5, 1.0)] == [2, 1, 1]
-    # no window is seen, but positions are smoother than the model lets them be
-    assert [apart(0, period_s, 1e-3) for period_s in (0.04, 0.1, 1.0 / 3.0, 1.0)] == [12, 5, 1, 1]
-
-
-def test_errors_of_smoothed_positions_correlate_only_with_the_next_ones_that_count():
-    noise = np.random.default_rng(0).standard_normal((20_000, 1))
-    for window in (5, 11):
-        apart = apart_if_smoothed(window, Evenness(1.0, 0.1))
-        one = smoothed(noise, window)[:, 0][window::apart]
-        # an average over W samples shares W - k of them with that k samples later; 4 standard errors
-        expected = 1.0 - apart / window
-        assert np.corrcoef(one[1:], one[:-1])[0, 1] == pytest.approx(expected, abs=4.0 / np.sqrt(len(one)))
-        assert np.corrcoef(one[2:], one[:-2])[0, 1] == pytest.approx(0.0, abs=8.0 / np.sqrt(len(one)))
 
 
 def test_the_ends_of_a_smoothed_record_do_not_count(slow):

@@ -41,10 +41,6 @@ def test_a_vehicle_that_the_filter_has_lost_is_an_error(calibrated):
         cautions(replace(calibrated, log_likelihood=likelihood))
 
 
-def test_the_papers_formulation_has_no_such_filter(calibrated):
-    assert cautions(replace(calibrated, settings=replace(calibrated.settings, formulation="paper"))) == []
-
-
 def test_drivers_of_whom_nothing_is_known_are_told(calibrated, tmp_path):
     path = tmp_path / "short.csv"
     path.write_text(

@@ -10,9 +10,7 @@ from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.assemble import assemble
-from sugiyama_ros.trajectories.exchange import about_of, of_columns, to_arrow
-from sugiyama_ros.trajectories.labels import Labels, joined, labels, labels_of, numbered
-from sugiyama_ros.trajectories.leaders import find_leaders, gaps
+from sugiyama_ros.trajectories.leaders import gaps
 from sugiyama_ros.trajectories.selection import Selection, select
 from sugiyama_ros.trajectories.tracks import FREE, NOBODY, UNKNOWN, Tracks
 
@@ -82,12 +80,6 @@ def test_units_that_cannot_be_right_are_named(name: str, factor: float, said: st
         assemble({**table, name: table[name] * factor})
 
 
-@pytest.mark.parametrize(("view", "first"), [("end", UNKNOWN), ("whole", FREE)])
-def test_the_first_vehicle_has_a_free_road_only_if_the_view_has_no_end(view: str, first: int) -> None:
-    tracks = assemble(columns(), About(view=view))
-    assert set(tracks.leader_row[:60].tolist()) == {first}
-
-
 def test_on_a_ring_the_last_leads_the_first() -> None:
     tracks = assemble(columns(), About(ring_m=100.0))
     assert names(tracks)[::60] == ["4", "1", "2", "3"]
@@ -116,13 +108,6 @@ def test_leaders_by_brute_force() -> None:
         )
         ahead = np.flatnonzero(same)
         assert tracks.leader_row[row] == (ahead[np.argmin(tracks.s_m[ahead])] if len(ahead) else UNKNOWN)
-
-
-@pytest.mark.parametrize(("reference", "shift"), [("centre", 0.0), ("front", -2.0), ("rear", 2.0)])
-def test_positions_are_moved_to_the_centres(reference: str, shift: float) -> None:
-    tracks = assemble(columns(), reference=reference)
-    np.testing.assert_allclose(tracks.s_m, np.asarray(columns()["s_m"]) + shift, rtol=0.0, atol=1e-12)
-    assert tracks.about.reference == "centre"
 
 
 def test_positions_that_decrease_along_the_drive_are_turned_round() -> None:
@@ -162,17 +147,6 @@ def test_given_leaders_are_compared_or_believed() -> None:
     assert believed.leader_row[::60].tolist() == [UNKNOWN, FREE, UNKNOWN, 0]
 
 
-def test_rows_that_say_too_little_are_left_out_and_counted() -> None:
-    table = columns()
-    table["s_m"] = np.where(np.arange(240) % 10 == 3, np.nan, table["s_m"])
-    table["time_s"] = np.where(np.arange(240) % 60 == 7, np.nan, table["time_s"])
-    tracks = assemble(table)
-    assert dict(tracks.about.dropped) == {"no time": 4, "no position": 24}
-    assert len(tracks) == 212
-    with pytest.raises(InputError, match="no row has a vehicle, a time and a position"):
-        assemble({**table, "s_m": np.full(240, np.nan)})
-
-
 def test_a_vehicle_has_one_row_at_a_time() -> None:
     table = {name: np.concatenate((c, c[:30])) for name, c in columns().items()}
     tracks = assemble(table)
@@ -190,17 +164,6 @@ def test_a_number_that_is_used_again_is_another_vehicle() -> None:
     assert tracks.vehicle.used() == ("1", "1~2", "2", "2~2")
     assert names(tracks)[::60] == [None, None, "1", "1~2"]
     assert "used again 2 times" in tracks.about.notes[0]
-
-
-def test_a_vehicle_has_one_length() -> None:
-    length = np.repeat([4.0, np.nan, 5.0, 6.0], 60)
-    length[120:130] = 8.0
-    length[130:132] = np.inf, 1e308
-    tracks = assemble(columns(length_m=length))
-    assert tracks.length_m[::60].tolist() == [4.0, 4.33, 5.0, 6.0]
-    assert set(tracks.length_m[120:180].tolist()) == {5.0}
-    assert any("vary by more than 0.5 m: 1 vehicles" in note for note in tracks.about.notes)
-    assert any("missing: 1 vehicles" in note for note in tracks.about.notes)
 
 
 def test_a_part_of_tracks_forgets_leaders_that_are_left_out() -> None:
@@ -223,30 +186,6 @@ def test_a_part_of_tracks_forgets_leaders_that_are_left_out() -> None:
         select(tracks, Selection(from_s=7.0))
 
 
-def test_arrow_and_back() -> None:
-    about = About(source="a.csv", licence="CC0", smoothing="none").without("no time", 3).noting("a note")
-    given = assemble(columns(lane=np.full(240, 1), d_m=np.arange(240.0)), about)
-    table = to_arrow(given)
-    assert table.column_names == list(given.columns)
-    read = about_of(table.schema.metadata)
-    assert read == given.about
-    decoded = {
-        name: labels_of(table[name].to_pylist()) if isinstance(given.column(name), Labels) else table[name].to_numpy()
-        for name in table.column_names
-    }
-    back = of_columns(decoded, read)
-    assert back.about == given.about
-    for name in given.columns:
-        one, two = given.column(name), back.column(name)
-        if isinstance(one, Labels):
-            assert one.values().tolist() == two.values().tolist()
-        else:
-            np.testing.assert_array_equal(one, two)
-    np.testing.assert_array_equal(back.leader_row, given.leader_row)
-    assert about_of(None) is None
-    assert about_of({b"sugiyama_ros.tracks": b"[1"}) is None
-
-
 def test_pandas_and_back() -> None:
     pytest.importorskip("pandas")
     given = assemble(columns(lane=np.full(240, 1)))
@@ -259,28 +198,6 @@ def test_pandas_and_back() -> None:
         sg.read(frame.drop(columns="s_m"))
     with pytest.raises(InputError, match=r"data frame: column s_m: 'far' is not a number"):
         sg.read(frame.assign(s_m="far"))
-
-
-def test_labels() -> None:
-    one = labels_of(["b10", None, "b2", 12.0, "b10"])
-    assert one.text == ("12", "b2", "b10")
-    assert one.values().tolist() == ["b10", None, "b2", "12", "b10"]
-    assert one.place("b2") == 1
-    assert one.place("c") == -1
-    assert one[np.array([False, True, True, False, False])].used() == ("b2",)
-    assert numbered(np.array([3.0, np.nan, 2.5])).values().tolist() == ["3", None, "2.5"]
-    assert labels(np.array([0, 1, -1], dtype=np.int32), ["x", "x"]).values().tolist() == ["x", "x", None]
-    assert joined(one, one, "-").values().tolist() == ["b10-b10", None, "b2-b2", "12-12", "b10-b10"]
-
-
-def test_a_vehicle_may_not_be_called_free() -> None:
-    with pytest.raises(InputError, match="a vehicle is called 'free'"):
-        assemble(columns(vehicle=np.repeat(["a", "b", "c", NOBODY], 60)))
-
-
-def test_leaders_of_nothing() -> None:
-    tracks = assemble(columns(1, 1))
-    assert find_leaders(tracks).tolist() == [UNKNOWN]
 
 
 def test_tracks_are_saved(tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """Tracks on a regular time base, stretches for the filter, and one lane as a dense table."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -12,10 +10,10 @@ from sugiyama_ros.filters.extract import chain_behind, drives
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.assemble import assemble
-from sugiyama_ros.trajectories.dense import tracks_of, whole_road
+from sugiyama_ros.trajectories.dense import tracks_of
 from sugiyama_ros.trajectories.stretches import stretches
 from sugiyama_ros.trajectories.time_base import is_regular, on_time_base, period_of, resample
-from sugiyama_ros.trajectories.tracks import NOBODY, Tracks
+from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 
@@ -71,14 +69,6 @@ def test_a_local_parabola_averages_noise() -> None:
     assert 0.9 * 0.1 * np.sqrt(17 / 35) < error.std() < 1.1 * 0.1 * np.sqrt(17 / 35) + 0.005
 
 
-def test_a_regular_time_base_stays_as_it_is() -> None:
-    tracks = platoon(period=1.0 / 3.0)
-    assert on_time_base(tracks) is tracks
-    assert period_of(on_time_base(tracks, 0.5)) == 0.5
-    with pytest.raises(InputError, match="period: 0 s cannot be used"):
-        on_time_base(tracks, 0.0)
-
-
 def test_clocks_that_are_apart_meet_on_a_common_time_base() -> None:
     table = rows()
     table["time_s"] = table["time_s"] + 0.03 * (table["vehicle"] - 1)
@@ -92,15 +82,6 @@ def test_clocks_that_are_apart_meet_on_a_common_time_base() -> None:
     np.testing.assert_allclose(even.s_m, way(even.time_s) - 20.0 * even.vehicle.code, rtol=0.0, atol=1e-3)
 
 
-def test_irregular_stamps_are_interpolated() -> None:
-    table = rows()
-    table["time_s"] = table["time_s"] + np.random.default_rng(2).uniform(-0.04, 0.04, len(table["time_s"]))
-    table["s_m"] = way(table["time_s"]) - 20.0 * (table["vehicle"] - 1)
-    tracks = on_time_base(assemble(table))
-    assert period_of(tracks) == 0.1
-    np.testing.assert_allclose(tracks.s_m, way(tracks.time_s) - 20.0 * tracks.vehicle.code, rtol=0.0, atol=1e-3)
-
-
 def test_a_hole_is_bridged_up_to_half_a_second() -> None:
     table = rows(1, 20.0, 0.04)
     time = table["time_s"]
@@ -108,15 +89,6 @@ def test_a_hole_is_bridged_up_to_half_a_second() -> None:
     tracks = resample(assemble(part(table, keep)), 0.1)
     missing = set(np.round(np.arange(0.0, 20.05, 0.1), 1)) - set(np.round(tracks.time_s, 1))
     assert missing == {round(10.1 + 0.1 * k, 1) for k in range(9)}
-
-
-def test_a_ring_is_unwrapped() -> None:
-    table = rows(period=0.04)
-    table["s_m"] = np.mod(table["s_m"], 90.0)
-    tracks = on_time_base(assemble(table, About(ring_m=90.0)))
-    assert tracks.leaders_known == 1.0
-    off = tracks.s_m - way(tracks.time_s) + 20.0 * tracks.vehicle.code
-    np.testing.assert_allclose(off - 90.0 * np.round(off / 90.0), 0.0, atol=1e-9)
 
 
 def test_stretches_have_the_two_vehicles_ahead() -> None:
@@ -141,15 +113,6 @@ def test_holes_and_unknown_leaders_divide_stretches() -> None:
     assert spans == [(0.0, pytest.approx(6.0)), (pytest.approx(6.8), pytest.approx(5.2)), (pytest.approx(13.5), 6.5)]
     short = [(one.start_s, one.duration_s) for one in stretches(assemble(part(table, keep)), 6.2) if one.vehicle == "3"]
     assert short == [(pytest.approx(13.5), pytest.approx(6.5))]
-
-
-@pytest.mark.parametrize(("gone_at", "duration", "vehicles"), [(17.05, 17.0, 3), (12.05, 20.0, 2)])
-def test_what_the_leader_reacts_to_must_be_known(gone_at: float, duration: float, vehicles: int) -> None:
-    table = rows(3)
-    keep = (table["vehicle"] != 1) | (table["time_s"] < gone_at)
-    (third,) = (one for one in stretches(assemble(part(table, keep))) if one.vehicle == "3")
-    assert third.duration_s == pytest.approx(duration)
-    assert third.position_m.shape[1] == vehicles
 
 
 def test_flicker_of_leader_and_lane_is_ignored() -> None:
@@ -189,19 +152,6 @@ def test_chains_are_those_of_the_dense_table() -> None:
         np.testing.assert_allclose(drive.chain.rear, chain_behind(dense, driver).rear, rtol=0.0, atol=1e-9)
 
 
-def test_one_lane_becomes_a_dense_table() -> None:
-    road = platoon().dense("a.csv")
-    assert road.vehicle.tolist() == [1, 2, 3, 4]
-    assert road.period_s == 0.1
-    np.testing.assert_array_equal(road.leader[0], [-1, 0, 1, 2])
-    back = tracks_of(road)
-    np.testing.assert_array_equal(back.s_m, platoon().s_m)
-    assert back.leader.at(0) == NOBODY
-    named = rows(3)
-    named["vehicle"] = np.array(["lead", "veh_7", "veh_8"])[named["vehicle"] - 1]
-    assert assemble(named).dense("a.csv").vehicle.tolist() == [9, 7, 8]
-
-
 def test_what_is_not_one_lane_is_refused_with_the_cure() -> None:
     table = rows()
     two = assemble({**table, "lane": (table["vehicle"] > 2).astype(int)})
@@ -223,12 +173,3 @@ def test_what_is_not_one_lane_is_refused_with_the_cure() -> None:
     sparse["time_s"] = sparse["time_s"] + 50.0 * sparse["vehicle"]
     with pytest.raises(InputError, match=r"come and go .*--from SECONDS --to SECONDS"):
         assemble(sparse).dense("a.csv")
-
-
-def test_vehicles_that_drive_through_one_another_are_refused() -> None:
-    time = np.arange(100.0)
-    position = np.column_stack((10.0 * time + 100.0, 11.5 * time))
-    crossing = Trajectories(position, np.full(2, 4.0), np.array([3, 5]), Road(), 0.1)
-    with pytest.raises(InputError, match=r"drives through vehicle . at .*give --ring METRES.*give the column lane"):
-        whole_road(tracks_of(crossing))
-    assert whole_road(tracks_of(replace(crossing, position_m=position[:40]))) is not None

@@ -1,17 +1,12 @@
 """What the words of a diagnosis and of a comparison must say, and what they must never say."""
 
-from typing import Any
-
 import pytest
-from diagnoses import addition, check, document, errors, fails, force, gains
+from diagnoses import addition, check, document, fails, force
 
 from sugiyama_ros.effects.registry import EFFECTS
-from sugiyama_ros.page.names import distances, quantity
-from sugiyama_ros.page.tables import by_driver, compared, steps
+from sugiyama_ros.page.tables import steps
 from sugiyama_ros.page.words import (
     badge,
-    best_model,
-    cautions,
     equation,
     headline,
     how_sure,
@@ -19,7 +14,6 @@ from sugiyama_ros.page.words import (
     sentences,
     size_of,
     what_to_do,
-    worse,
 )
 
 CONSTANTS = addition(
@@ -161,33 +155,6 @@ def test_tracks_are_told_by_errors_of_one_car() -> None:
     assert steps(d).rows[0][-3:] == ("2.00", "2.00", "0.400")
 
 
-def test_who_gets_worse_is_told_and_a_model_file_warns() -> None:
-    d = document("explained", [addition()])
-    assert worse(d) == ["for 1 of 6 drivers (vehicle 0), one-car free runs get more than a fifth worse"]
-    assert cautions(d) == []
-    d["errors"]["after"]["gains"] = gains(road_10s=(-20.0, 5.0), at_5s=(-3.0, 5.0))
-    assert cautions(d) == ["forecasts get worse than the base model's: all cars at 10 s -20 ± 5 nats"]
-    assert worse(d)[1:] == cautions(d)
-    assert len(by_driver(d).rows) == 6
-
-
-def test_the_data_are_told_of_where_they_are_unusual() -> None:
-    d = document()
-    plain = sentences(d)
-    d |= {"smoothed_s": 0.5, "counted_every_s": 1.2, "has_other_noises": True, "drivers_left_out": 4}
-    assert sentences(d)[len(plain) :] == [
-        "Third differences of the positions are correlated over about 0.5 s, as by a smoother: only samples that are"
-        " 1.2 s apart count.",
-        "The paper's noises of position and speed do not suit these vehicles: they are fitted for each.",
-        "This is about 6 of 10 drivers, evenly spread over the recording: all of them would take too much memory.",
-    ]
-    d = document() | {"decisions_per_sample": 2, "decision_period_s": 0.4, "counted_every_s": 0.8}
-    assert (
-        sentences(d)[-1]
-        == "Samples are 0.8 s apart; the model's drivers decide 2 times from one to the next, every 0.4 s."
-    )
-
-
 def test_the_equation_marks_what_is_new() -> None:
     drag = addition("drag", parameters={"c0": 0.3, "c2": 0.004}, parameters_std={"c0": 0.02})
     d = document("explained", [drag, addition()])
@@ -206,75 +173,3 @@ def test_each_term_is_short_and_names_the_parameters_of_its_effect(name: str) ->
     effect = EFFECTS[name]
     assert 0 < len(effect.term) <= 90
     assert effect.title
-
-
-def test_small_lengths_are_told_in_millimetres() -> None:
-    assert distances(0.00805, 0.00277) == ["8.05 mm", "2.77 mm"]
-    assert distances(0.00805, 0.0277) == ["0.00805 m", "0.0277 m"]
-    assert quantity(8.1e-6, "m") == "0.0081 mm"
-    assert quantity(0.3691, "m") == "0.369 m"
-    assert quantity(0.0531, "", digits=2) == "0.053"
-
-
-def model(name: str, kind: str, gain: float, behind: tuple[float, float] | None) -> dict[str, Any]:
-    """One model of a comparison."""
-    won = gains(gain, 10.0 if gain else 0.0)
-    return {
-        "name": name,
-        "kind": kind,
-        **errors(0.4, 2.0, 3.0),
-        "gains": won if behind else {},
-        "heldout_gain_nats": gain if behind else None,
-        "heldout_gain_se": won["all"]["se"] if behind else None,
-        "behind": behind and {"nats": behind[0], "se": behind[1]},
-        "collective": {},
-        "drivers": [],
-    }
-
-
-def comparison(*models: dict[str, Any]) -> dict[str, Any]:
-    return {"models": [*models, model("base, simulated", "simulated", 0.0, None)], "measured": None}
-
-
-BASE = model("base", "base", 0.0, (80.0, 10.0))
-
-
-def test_a_comparison_names_the_best_model_and_what_is_alike() -> None:
-    best = model("base + drag", "asked", 80.0, (0.0, 0.0))
-    c = comparison(BASE, best, model("idm", "law", 70.0, (10.0, 6.0)), model("gipps", "law", -300.0, (380.0, 20.0)))
-    assert best_model(c) == (
-        "base + drag forecasts unseen data best, 80 ± 10 nats better than the base model. It cannot be told apart from"
-        " IDM."
-    )
-    c = comparison(BASE, best, model("idm", "law", 30.0, (50.0, 6.0)))
-    assert best_model(c).endswith("; IDM is 50 ± 6 nats behind.")
-    best = model("base + slow_patch", "asked", 80.0, (0.0, 0.0))
-    assert best_model(comparison(BASE, best)).startswith("base + slower stretch of road (slow_patch) forecasts")
-
-
-def test_no_model_beats_the_base_model() -> None:
-    base = model("base", "base", 0.0, (0.0, 0.0))
-    c = comparison(base, model("idm", "law", -30.0, (30.0, 6.0)))
-    assert best_model(c) == (
-        "No other model forecasts unseen data better than the base model; IDM is 30 ± 6 nats behind."
-    )
-
-
-def test_a_model_in_sample_never_counts() -> None:
-    own = model("file: drag", "in_sample", 500.0, (-420.0, 20.0))
-    c = comparison(BASE, own, model("idm", "law", 80.0, (0.0, 0.0)))
-    said = best_model(c)
-    assert said.startswith("file: drag was fitted to these samples, so it does not count here. IDM forecasts")
-    assert "in sample" in compared(c).title
-    assert [row[0] for row in compared(c).rows] == ["file: drag", "IDM", "base"]
-
-
-def test_six_rows_are_shown_first_and_all_on_demand() -> None:
-    laws = [model(name, "law", -10.0 * k, (80.0 + 10.0 * k, 5.0)) for k, name in enumerate("abcdefgh", 1)]
-    c = comparison(BASE, model("base + drag", "asked", 80.0, (0.0, 0.0)), *laws)
-    assert [row[0] for row in compared(c).rows] == ["base + drag", "base", "a", "b", "c", "d"]
-    everything = [row[0] for row in compared(c, show_all=True).rows]
-    assert everything == ["base + drag", "base", *"abcdefgh", "base, simulated"]
-    assert compared(c).headings == (
-        "model", "gain", "one step", "2 s", "5 s", "10 s", "CRPS 10 s [m]", "error 10 s [m]", "one step [m]",
-    )  # fmt: skip
