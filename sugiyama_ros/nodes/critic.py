@@ -159,7 +159,7 @@ class Critic(PacedNode):
     def _with_added(self, row: Array) -> Array:
         """Row (WIDTH,) with the effects that the models of all drivers have, at the means of their values."""
         row = ROW.with_effects(row[: len(NAMES)])
-        known = list(self._effects_of.values()) if self._drivers is None else effects_of(self._drivers)
+        known = list(self._effects_of.values()) if self._drivers is None else _effects_of(self._drivers)
         if known and (self._drivers is not None or len(known) >= len(self._chains)):
             for name in set.intersection(*map(set, known)) & set(ROW.entries):
                 row[ROW.entries.index(name)] = float(np.mean([values[name] for values in known]))
@@ -207,7 +207,7 @@ class Critic(PacedNode):
             self.get_logger().error(answer.message if answer is not None else str(done.exception()))
 
 
-def effects_of(message: DriverArray) -> list[dict[str, float]]:
+def _effects_of(message: DriverArray) -> list[dict[str, float]]:
     """Return the parameters of the effects that the model of each driver has, N mappings from name to value."""
     value = np.array(message.value).reshape(len(message.vehicle), len(message.name)).tolist()
     named = [k for k, name in enumerate(message.name) if name not in NAMES]

@@ -43,8 +43,8 @@ _SAVE_EVERY_NS = 10 * NS
 # Time [s] in which a keeper may answer.
 _PATIENCE_S = 5.0
 _NEVER_NS = -(1 << 62)
-#: Stands for every vehicle in view in the parameter ``vehicles``.
-EVERYBODY = -1
+# Stands for every vehicle in view in the parameter ``vehicles``.
+_EVERYBODY = -1
 
 
 @dataclass(eq=False)
@@ -94,10 +94,10 @@ class DriversNode(LifecycleNodeMixin, PacedNode):
         LifecycleNodeMixin.__init__(self)
         self.guard_services()
         warm_up()
-        some = f"numbers of the vehicles to follow, in view or not; {EVERYBODY}: every vehicle in view"
-        self._only = [v for v in self.option("vehicles", [EVERYBODY], some) if v >= 0]
+        some = f"numbers of the vehicles to follow, in view or not; {_EVERYBODY}: every vehicle in view"
+        self._only = [v for v in self.option("vehicles", [_EVERYBODY], some) if v >= 0]
         self._model = declare_model(self)
-        typical = self._model.rows_of(np.array([EVERYBODY]))[0]
+        typical = self._model.rows_of(np.array([_EVERYBODY]))[0]
         self._usual = typical[: len(NAMES)]
         self._save_state = self.path("save_state", "directory in which to keep what was learnt, for resume")
         self._resume = self.path("resume", "directory with what an earlier run has learnt, to go on from")
@@ -439,7 +439,7 @@ class DriversNode(LifecycleNodeMixin, PacedNode):
 
         Raises InputError, RefusedError.
         """
-        rows = [self._row_of(EVERYBODY), *(driver.row for driver in self.drivers.values())]
+        rows = [self._row_of(_EVERYBODY), *(driver.row for driver in self.drivers.values())]
         if values is None and not any(effect in active(row) for row in rows):
             raise RefusedError(f"effect {effect!r}: is not in the model")
         _, *changed = [_changed(row, effect, values) for row in rows]

@@ -20,8 +20,8 @@ from sugiyama_ros.nodes.view import View
 from sugiyama_ros.page.guard import Guard, log_quietly
 from sugiyama_ros.page.live import page
 
-#: Address that only this machine reaches.
-LOCAL = "127.0.0.1"
+# Address that only this machine reaches.
+_LOCAL = "127.0.0.1"
 # Bytes that a browser may send at a time, and in the head of a request.
 _LARGEST_MESSAGE, _LARGEST_HEADER = 1 << 20, 1 << 14
 # Samples of drivers, in a second of a recording with vehicles that come and go, that a critic beside the page can take.
@@ -37,7 +37,7 @@ def serve(
     output: Path,
     settings: RunSettings,
     *,
-    host: str = LOCAL,
+    host: str = _LOCAL,
     port: int = 5006,
     on_ready: Callable[[str], None] = lambda url: None,
 ) -> None:
@@ -97,9 +97,9 @@ def _turns(
 
 def _server(view: View, host: str, port: int) -> tuple[Server, str]:
     """The server, which is already listening, and the address of the page."""
-    names = {host, "localhost"} if host == LOCAL else {host, "localhost", socket.gethostname(), socket.getfqdn()}
-    guard = Guard(names, port, open_to_others=host != LOCAL)
-    shown = {LOCAL: "localhost", "0.0.0.0": socket.gethostname()}.get(host, host)
+    names = {host, "localhost"} if host == _LOCAL else {host, "localhost", socket.gethostname(), socket.getfqdn()}
+    guard = Guard(names, port, open_to_others=host != _LOCAL)
+    shown = {_LOCAL: "localhost", "0.0.0.0": socket.gethostname()}.get(host, host)
     url = f"http://{shown}:{port}" + (f"/?token={guard.token}" if guard.token else "")
     log_quietly()
     # Bokeh would check the origin of a web socket by a list of names; the guard compares it with the host.

@@ -61,7 +61,7 @@ class Recorder(PacedNode):
         about = dict(line.split("=", 1) for line in metadata if line)
         self._output = output
         self._bag = _writer(Path(output), overwrite, split_mb, about)
-        self._time = LogTime(times == "data")
+        self._time = _LogTime(times == "data")
         self._held: list[tuple[int, bytes, bool]] = []
         self._measured = measured
         self._levels = Levels({measured, *paced})
@@ -147,7 +147,7 @@ class Recorder(PacedNode):
             message = message_type(type_name)
             told = Qos(qos.reliability.name.lower(), qos.durability.name.lower(), DEPTH)
             channel = self._bag.topic(topic, type_name, told)
-            stamped = begins_with_stamp(type_name)
+            stamped = _begins_with_stamp(type_name)
         except (ImportError, AttributeError, ValueError, SugiyamaError) as error:
             self.get_logger().warning(f"{topic}: not recorded: {error}")
             return
@@ -267,7 +267,7 @@ class Levels:
                 break
 
 
-class LogTime:
+class _LogTime:
     """Gives each message its time [ns] in the record.
 
     With the time of the data, a message has its own stamp if that is within the time of the samples of the road so far,
@@ -303,7 +303,7 @@ class LogTime:
         return max(self._last_ns, 0)
 
 
-def begins_with_stamp(type_name: str) -> bool:
+def _begins_with_stamp(type_name: str) -> bool:
     """Whether messages of a type begin with a header or a stamp. Raises InputError where the type is not installed."""
     lines = (line.split("#")[0].split() for line in full_text(type_name).splitlines())
     first = next((words for words in lines if words and "=" not in "".join(words)), [""])

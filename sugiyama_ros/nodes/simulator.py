@@ -26,7 +26,7 @@ from sugiyama_ros.trajectories.placing import Positions
 from sugiyama_ros.trajectories.truth import TrueDriver
 
 
-class SimulatedPositions:
+class _SimulatedPositions:
     """A running simulation as samples. It only goes forward. ``steps`` is 0 if it has no end."""
 
     start_s = 0.0
@@ -61,7 +61,7 @@ class SimulatorNode(Source):
     ``spread``, ``effects``, ``seed``, and the parameters of `Source`.
     """
 
-    samples: SimulatedPositions
+    samples: _SimulatedPositions
 
     def __init__(self, **options: Any) -> None:
         super().__init__("simulator", **options)
@@ -70,7 +70,7 @@ class SimulatorNode(Source):
         self.create_service(SetDriver, "~/set_driver", self._on_set_driver)
         self.add_post_set_parameters_callback(self._on_set)
 
-    def open(self) -> SimulatedPositions:
+    def open(self) -> _SimulatedPositions:
         """A simulation with the node's parameters."""
         option = self.option
         vehicles = option("vehicles", 22, "number of vehicles", (1, 1000))
@@ -92,7 +92,7 @@ class SimulatorNode(Source):
         texts = self.texts("effects", "NAME:PARAMETER=VALUE[,...], each")
         effects = dict(read_effect(text, "effects") for text in texts)
         rows = changed(self._drivers(vehicles, model), {}, effects)
-        return SimulatedPositions(set_up(experiment, rows), experiment.samples if experiment.duration_s else 0)
+        return _SimulatedPositions(set_up(experiment, rows), experiment.samples if experiment.duration_s else 0)
 
     def send_more(self, stamp_ns: int) -> None:
         """Send the truth."""

@@ -59,7 +59,7 @@ def _seconds(message: Any) -> float:
     return float(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
 
 
-class MovingError:
+class _MovingError:
     """Root mean square of errors over the last ``MOVING_S`` seconds."""
 
     def __init__(self) -> None:
@@ -133,15 +133,15 @@ class View(Node):
         self.events: deque[str] = deque(maxlen=_EVENTS)
         self.said = ""
         self._road: RoadMessage | None = None
-        self.effects = can_be_added(self._recording())
+        self.effects = _can_be_added(self._recording())
         self.titles = {name: e.title for name, e in EFFECTS.items()}
         # the critic's values of all parameters of effects
         self._fitted: dict[str, float] = {}
         self._joined: dict[int, _Joined] = {}
         # by the stamp: positions, and the error of the base model up to then; topics arrive in any order
         self._measured: OrderedDict[int, tuple[dict[int, float], float]] = OrderedDict()
-        self._moving, self._base_moving = MovingError(), MovingError()
-        self._base: BaseModel | None = None
+        self._moving, self._base_moving = _MovingError(), _MovingError()
+        self._base: _BaseModel | None = None
         # squared errors of the drivers who have been heard, by the stamp, of samples that are not complete
         self._errors: dict[int, list[float]] = {}
         self._latest_s, self._first_s, self._step = -math.inf, math.nan, -1
@@ -264,7 +264,7 @@ class View(Node):
 
     def _on_road(self, road: RoadMessage) -> None:
         self.road, self._road = Road(float(road.circumference_m)), road
-        self._base = BaseModel(road)
+        self._base = _BaseModel(road)
 
     def _on_measured(self, sample: Sample) -> None:
         time_s = sample.stamp_ns / NS
@@ -275,7 +275,7 @@ class View(Node):
             self._moving.clear()
             self._errors.clear()
             self._latest_s, self._first_s = -math.inf, math.nan
-            self._base = BaseModel(self._road) if self._road is not None else None
+            self._base = _BaseModel(self._road) if self._road is not None else None
         self._step = sample.step
         self._first_s = time_s if math.isnan(self._first_s) else self._first_s
         self._arrived.append((time.monotonic(), time_s))
@@ -412,7 +412,7 @@ class View(Node):
         self.best, self.is_settled = str(message.best), bool(message.settled)
 
 
-class BaseModel:
+class _BaseModel:
     """One filter of the base model for each vehicle: what the one-step errors would be without added effects."""
 
     def __init__(self, road: RoadMessage) -> None:
@@ -438,13 +438,13 @@ class BaseModel:
         return errors
 
 
-def can_be_added(extent: Extent) -> dict[str, str]:
+def _can_be_added(extent: Extent) -> dict[str, str]:
     """Effects that can be added while drivers are followed; each with what it is, and what its parameters mean."""
     names = [name for name, e in EFFECTS.items() if e.function is not None and e.starts(extent)]
-    return {name: explained(name) for name in names}
+    return {name: _explained(name) for name in names}
 
 
-def explained(name: str) -> str:
+def _explained(name: str) -> str:
     """What an effect is, and what its parameters mean, in their units."""
     effect_ = effect(name)
     means = [

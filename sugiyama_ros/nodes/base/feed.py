@@ -18,7 +18,7 @@ WINDOW_S = 0.2
 #: has jumped.
 _LATE_NS = NS
 #: Time [s] without samples after which a sample is from another time. In periods of the road, at least.
-_LONGEST_S, LONGEST_PERIODS = 10.0, 100
+_LONGEST_S, _LONGEST_PERIODS = 10.0, 100
 # Times between samples from which rate and spread are worked out.
 _MEASURED = 100
 
@@ -97,7 +97,7 @@ class Arrivals:
 
     def __init__(self, period_s: float, window_s: float, counts: dict[str, int]) -> None:
         self._window_ns = round(window_s * NS)
-        self._longest_ns = round(max(_LONGEST_S, LONGEST_PERIODS * period_s) * NS)
+        self._longest_ns = round(max(_LONGEST_S, _LONGEST_PERIODS * period_s) * NS)
         self._counts = counts
         #: Stamp [ns] of the latest sample.
         self.stamp_ns: int | None = None

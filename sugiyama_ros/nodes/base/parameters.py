@@ -22,8 +22,8 @@ from sugiyama_ros.road import Road
 Engine = Literal["compiled", "filterpy"]
 #: What works out a step of an `OnlineFilter`; the first one, unless another one is asked for.
 ENGINES: tuple[Engine, ...] = ("compiled", "filterpy")
-#: Prior std of the logarithm of a preference for which none was measured: a factor of two up or down.
-OTHER_STD = 0.7
+# Prior std of the logarithm of a preference for which none was measured: a factor of two up or down.
+_OTHER_STD = 0.7
 
 
 def declare_driver(node: PacedNode, default: Array) -> None:
@@ -101,7 +101,7 @@ def declare_adapt(node: PacedNode, rows: Array) -> OnlineSettings:
     names = tuple(dict.fromkeys(name for name in given if name))
     own = tuple(name for name in names if name not in (STRENGTHS, OF_LAW) and "." not in name)
     known = dict(zip(ADAPT.names, ADAPT.prior_std, strict=True))
-    stds = tuple(known.get(name, OTHER_STD) for name in own)
+    stds = tuple(known.get(name, _OTHER_STD) for name in own)
     of_effects = tuple(name for name in names if name not in own)
     check_names(of_effects)
     text = (
