@@ -9,8 +9,8 @@ the vehicle has not reached when the recording ends.
 from array import array
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from dataclasses import replace
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Element
@@ -38,23 +38,13 @@ _PASSED = 3
 _SAME_ORIGIN_M = 1.0
 
 
-@dataclass(frozen=True, eq=False)
-class _Lanelet:
-    """The middle of a lanelet, (P, 2) [m], the lanelets that follow, and those beside it in the same direction."""
+class _Lanelet(NamedTuple):
+    """The middle of a lanelet, (P, 2) [m], way [m] to each point, lanelets that follow, and those beside it."""
 
     middle: Array
-    successors: tuple[str, ...] = ()
-    beside: tuple[str, ...] = ()
-    start_m: Array = field(init=False)
-
-    def __post_init__(self) -> None:
-        length = np.hypot(*np.diff(self.middle, axis=0).T)
-        object.__setattr__(self, "start_m", np.concatenate(([0.0], np.cumsum(length))))
-
-    @property
-    def length_m(self) -> float:
-        """Length [m]."""
-        return float(self.start_m[-1])
+    start_m: Array
+    successors: tuple[str, ...]
+    beside: tuple[str, ...]
 
 
 class _SeenRows(NamedTuple):
@@ -66,16 +56,6 @@ class _SeenRows(NamedTuple):
     heading: Array
 
 
-class _OnNetwork(NamedTuple):
-    """Where the rows of vehicles are: road, lane, leader, position along [m] and across [m] the lanelet, (R,) each."""
-
-    road: Labels
-    lane: Labels
-    leader: Labels
-    s_m: Array
-    d_m: Array
-
-
 class _Place(NamedTuple):
     """A place on a lanelet: number of the lanelet, way from its start, to the left, and distance [m]."""
 
@@ -85,8 +65,8 @@ class _Place(NamedTuple):
     distance: float
 
 
-def _placed(network: Mapping[str, _Lanelet], seen: _SeenRows, names: Sequence[str]) -> _OnNetwork:
-    """Put vehicles on lanelets."""
+def _placed(network: Mapping[str, _Lanelet], seen: _SeenRows, names: Sequence[str]) -> dict[str, Array | Labels]:
+    """Put vehicles on lanelets: columns of the road, the lane, the leader, and the positions along and across [m]."""
     graph = _Graph(network)
     near = _near(list(network.values()), seen)
     order = np.lexsort((seen.time_s, seen.vehicle))
@@ -102,7 +82,7 @@ def _placed(network: Mapping[str, _Lanelet], seen: _SeenRows, names: Sequence[st
     ahead = _ahead(graph, seen, order, lanelet, along, s)
     leader = labels(np.where(ahead < 0, -1, seen.vehicle[ahead]).astype(np.int32), names)
     across = np.array([np.nan if one is None else one.across for one in on])
-    return _OnNetwork(road, lane, leader, s, across)
+    return {"road": road, "lane": lane, "leader": leader, "s_m": s, "d_m": across}
 
 
 class _Graph:
@@ -112,10 +92,13 @@ class _Graph:
         self.names = list(network)
         number = {name: k for k, name in enumerate(self.names)}
         found = list(network.values())
-        self.length = np.array([one.length_m for one in found])
+        self.length = np.array([one.start_m[-1] for one in found])
         self.after = [[number[name] for name in one.successors if name in number] for one in found]
         beside = [[number[name] for name in one.beside if name in number] for one in found]
         self.passed = [self._reached(k) for k in range(len(found))]
+        entered = {after for one in self.after for after in one}
+        # roads and lanes begin where no lanelet leads in; what is left then are rings
+        self._first = [*(k for k in range(len(found)) if k not in entered), *range(len(found))]
         self.offset, self.road = self._offsets(found, beside)
         self.lane = self._lanes()
 
@@ -139,9 +122,8 @@ class _Graph:
             for other in others:
                 shift = lanelets[other].middle[0] - lanelets[one].middle[0]
                 links[one].append((other, float(shift @ way / max(np.hypot(*way), 1e-9))))
-        entered = {after for one in self.after for after in one}
         offset, road = np.full(len(lanelets), np.nan), np.full(len(lanelets), -1, dtype=np.int64)
-        for first in [*(k for k in range(len(lanelets)) if k not in entered), *range(len(lanelets))]:
+        for first in self._first:
             if road[first] >= 0:
                 continue
             offset[first], road[first], waiting = 0.0, first, deque([first])
@@ -157,9 +139,8 @@ class _Graph:
 
     def _lanes(self) -> Ints:
         """The first lanelet of the lane of each lanelet: a lane goes on with the first lanelet that follows."""
-        entered = {after for one in self.after for after in one}
         lane = np.full(len(self.after), -1, dtype=np.int64)
-        for first in [*(k for k in range(len(lane)) if k not in entered), *range(len(lane))]:
+        for first in self._first:
             one = first
             while lane[one] < 0:
                 lane[one] = first
@@ -168,19 +149,15 @@ class _Graph:
 
     def way(self, near: Sequence[Sequence[_Place]]) -> list[_Place | None]:
         """The places of a vehicle at T times, of those that are near at each: the way with the least cost."""
-        found: list[_Place | None] = [None] * len(near)
-        first = 0
-        while first < len(near):
-            last = first
-            while last < len(near) and near[last]:
-                last += 1
-            found[first:last] = self._least(near[first:last])
-            first = last + 1
+        found: list[_Place | None] = []
+        for is_near, group in groupby(near, key=bool):
+            places = list(group)
+            found += self._least(places) if is_near else [None] * len(places)
         return found
 
     def _least(self, near: Sequence[Sequence[_Place]]) -> list[_Place | None]:
         """The way with the least cost through places of which there is at least one at each time."""
-        costs: list[float] = [place.distance**2 for place in near[0]] if near else []
+        costs = [place.distance**2 for place in near[0]]
         came: list[list[int]] = [[0] * len(costs)]
         for before, places in pairwise(near):
             table = [
@@ -193,7 +170,7 @@ class _Graph:
             came.append([int(np.argmin(row)) for row in table])
             costs = [min(row) + place.distance**2 for row, place in zip(table, places, strict=True)]
         found: list[_Place | None] = []
-        k = int(np.argmin(costs)) if costs else 0
+        k = int(np.argmin(costs))
         for places, back in zip(reversed(near), reversed(came), strict=False):
             found.append(places[k])
             k = back[k]
@@ -309,19 +286,6 @@ def _ways(graph: _Graph, seen: _SeenRows, order: Ints, lanelet: Ints) -> Iterato
 _MAX_POINTS = 200_000
 # Time [s] between two steps where the file does not say it.
 _USUAL_S = 0.1
-_DIRECTION = "drivingDir"
-
-
-class _State(NamedTuple):
-    """What is kept of each row."""
-
-    time_s: float
-    x_m: float
-    y_m: float
-    heading: float
-    speed: float
-    length_m: float
-    width_m: float
 
 
 def read_commonroad(path: Path, choices: Choices) -> Tracks:
@@ -332,7 +296,7 @@ def read_commonroad(path: Path, choices: Choices) -> Tracks:
     said = root_of(path).get("timeStepSize")
     period = _USUAL_S if said is None else number(said.strip(), "timeStepSize", str(path))
     network: dict[str, _Lanelet] = {}
-    rows = {name: array("d") for name in _State._fields}
+    rows = array("d")
     vehicles: list[str] = []
     kinds: list[str] = []
     counts, points = Counter[str](), 0
@@ -350,17 +314,15 @@ def read_commonroad(path: Path, choices: Choices) -> Tracks:
             raise InputError(f"{path}: more than {_MAX_POINTS} points of lanelets or {MAX_ROWS} states; split the file")
     if not vehicles or not network:
         raise InputError(f"{path}: no lanelets, or no obstacles with a trajectory; give a recorded scenario")
-    columns: dict[str, Array | Labels] = {name: np.frombuffer(values) for name, values in rows.items()}
     vehicle = labels_of(vehicles)
-    place = np.stack((np.asarray(columns.pop("x_m")), np.asarray(columns.pop("y_m"))), axis=1)
-    code, time = vehicle.code.astype(np.int64), np.asarray(columns["time_s"])
-    seen = _SeenRows(code, time, place, _headings(code, time, place, np.asarray(columns.pop("heading"))))
-    # what becomes too large is on no lanelet
+    time, x, y, heading, speed, length, width = np.frombuffer(rows).reshape(-1, 7).T
+    code, place = vehicle.code.astype(np.int64), np.stack((x, y), axis=1)
+    seen = _SeenRows(code, time, place, _headings(code, time, place, heading))
+    # what becomes too large is on no lanelet; a place on no lane has no position along a lane
     with np.errstate(over="ignore", invalid="ignore"):
-        on = _placed(network, seen, vehicle.text)
-    # A place on no lane has no position along a lane.
-    columns |= {"vehicle": vehicle, "class": labels_of(kinds), "road": on.road, "lane": on.lane, "leader": on.leader}
-    columns |= {"s_m": on.s_m, "d_m": on.d_m}
+        columns = _placed(network, seen, vehicle.text)
+    columns |= {"vehicle": vehicle, "class": labels_of(kinds), "time_s": time, "speed": speed}
+    columns |= {"length_m": length, "width_m": width}
     areas, static = counts["areas"], counts["static"]
     about = about_file(path, leaders="given").noting(
         f"places of {areas} states are areas in the file; their middles count" * (areas > 0),
@@ -373,8 +335,8 @@ def read_commonroad(path: Path, choices: Choices) -> Tracks:
     return replace(tracks, about=replace(tracks.about, notes=notes))
 
 
-def _add(obstacle: Element, path: Path, period_s: float, rows: "dict[str, array[float]]", counts: Counter[str]) -> int:
-    """Add the states of an obstacle; returns how many."""
+def _add(obstacle: Element, path: Path, period_s: float, rows: "array[float]", counts: Counter[str]) -> int:
+    """Add the states of an obstacle, seven numbers each; returns how many."""
     where = f"{path}: obstacle {obstacle.get('id', '')[:40]}"
     shape = obstacle.find("shape/rectangle")
     length, width = (_value(shape, name, where) if shape is not None else np.nan for name in ("length", "width"))
@@ -389,8 +351,7 @@ def _add(obstacle: Element, path: Path, period_s: float, rows: "dict[str, array[
             _value(state, f"{name}/exact", where) if state.find(f"{name}/exact") is not None else np.nan
             for name in ("orientation", "velocity")
         )
-        for values, value in zip(rows.values(), _State(time, *place, heading, speed, length, width), strict=True):
-            values.append(value)
+        rows.extend((time, *place, heading, speed, length, width))
         added += 1
     return added
 
@@ -441,8 +402,10 @@ def _lanelet(element: Element, path: Path) -> _Lanelet:
         )
     after = tuple(one.get("ref", "") for one in element.iterfind("successor"))
     beside = [one for side in ("Left", "Right") for one in element.iterfind(f"adjacent{side}")]
-    same = tuple(one.get("ref", "") for one in beside if one.get(_DIRECTION, "same") == "same")
-    return _Lanelet(0.5 * (left + right), after, same)
+    same = tuple(one.get("ref", "") for one in beside if one.get("drivingDir", "same") == "same")
+    middle = 0.5 * (left + right)
+    way = np.cumsum(np.hypot(*np.diff(middle, axis=0).T))
+    return _Lanelet(middle, np.concatenate(([0.0], way)), after, same)
 
 
 FORMAT = Format(

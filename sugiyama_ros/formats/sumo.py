@@ -4,10 +4,8 @@ from array import array
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.errors import InputError
@@ -59,33 +57,26 @@ def read_sumo(path: Path, choices: Choices) -> Tracks:
         raise InputError(f"{path}: no vehicle has a lane or an edge; write the file with the attribute lane")
     about = about_file(path)
     edges, columns["lane"] = _edges(lane, edge, path)
-    columns = _on_an_edge(columns, edges, path)
-    edges = edges[edges.code >= 0]
+    # others wait for a place, or are persons
+    on_edge = edges.code >= 0
+    if not on_edge.any():
+        raise InputError(f"{path}: no vehicle is on an edge; write the file with the attribute lane")
+    columns, edges = {name: column[on_edge] for name, column in columns.items()}, edges[on_edge]
     if (text_of(columns, "lane").code < 0).all():
         about = about.noting(
             "warning: edges have no lanes in the file, as in SUMO's mesoscopic model, so that no leader is known"
         )
-    vehicle, speed = text_of(columns, "vehicle"), np.asarray(columns["speed"])
-    placed = _along_edges(_Edges(edges, vehicle.code, np.asarray(columns["time_s"]), np.asarray(columns["s_m"]), speed))
-    columns["s_m"] = placed.s_m
-    if placed.road is not None:
-        columns["road"] = placed.road
+    columns["s_m"], root, ring_m = _along_edges(columns, edges)
+    roads, many = len(np.unique(root)), len(edges.text)
+    if roads > 1:
+        columns["road"] = labels(root[edges.code].astype(np.int32), edges.text)
     gap = columns.pop("gap_m", None)
     if "length_m" not in columns:
         columns["length_m"], note = _lengths(columns, gap)
         about = about.noting(note)
-    about = replace(about.noting(placed.note), ring_m=placed.ring_m)
+    note = f"{many} edges make {roads} road{'s' * (roads > 1)}" * (many > 1)
+    about = replace(about.noting(note), ring_m=ring_m if roads == 1 else 0.0)
     return put_together(columns, about, choices, reference="front")
-
-
-def _on_an_edge(columns: Rows, edges: Labels, path: Path) -> Rows:
-    """The rows of vehicles that are on an edge; others wait for a place, or are persons."""
-    on_edge = edges.code >= 0
-    if not on_edge.any():
-        raise InputError(f"{path}: no vehicle is on an edge; write the file with the attribute lane")
-    if on_edge.all():
-        return columns
-    return {name: column[on_edge] for name, column in columns.items()}
 
 
 def _edges(lane: Labels | Array | None, edge: Labels | Array | None, path: Path) -> tuple[Labels, Labels]:
@@ -194,50 +185,23 @@ _LONGEST_STEP_S = 2.0
 _MOST = 0.5
 
 
-class _Edges(NamedTuple):
-    """What is known of each row, (R,) each: edge, number of the vehicle, time [s], position on the edge [m], speed."""
-
-    edge: Labels
-    vehicle: Ints | NDArray[np.int32]
-    time_s: Array
-    position_m: Array
-    speed: Array
-
-
-class _Placed(NamedTuple):
-    """Positions along roads of edges.
-
-    s_m: positions [m], (R,); road: the first edge of the road of each row, (R,), or None if there is one road; ring_m:
-    circumference [m] of this road if it is a ring, else 0; note: how many edges and roads there are.
-    """
-
-    s_m: Array
-    road: Labels | None
-    ring_m: float
-    note: str
-
-
-def _along_edges(rows: _Edges) -> _Placed:
+def _along_edges(columns: Rows, edges: Labels) -> tuple[Array, Ints, float]:
     """Put the edges of a road one behind the other.
 
     The length of an edge is what vehicles say that leave it for the next edge: where they were last, how far they came
-    in between, and where they are now.
+    in between, and where they are now. Returns positions [m] of the rows, (R,), the first edge of the road of each
+    edge, and the circumference [m] of the last ring, or 0.
     """
-    count = len(rows.edge.text)
-    if count == 1:
-        return _Placed(rows.position_m, None, 0.0, "")
-    straight, nexts, lengths = _nexts(rows, count)
+    position = np.asarray(columns["s_m"])
+    if len(edges.text) == 1:
+        return position, np.zeros(1, dtype=np.int64), 0.0
+    straight, nexts, lengths = _nexts(columns, edges)
     offset, root, ring_m = _chained(nexts, lengths)
-    # _Edges inside a crossing, which few vehicles are seen on, end where the next edge begins.
-    for edge, name in enumerate(rows.edge.text):
+    # Edges inside a crossing, which few vehicles are seen on, end where the next edge begins.
+    for edge, name in enumerate(edges.text):
         if name.startswith(":") and (target := int(straight[edge])) >= 0 and root[edge] != root[target]:
             offset[edge], root[edge] = offset[target] - lengths[edge], root[target]
-    s = rows.position_m + offset[rows.edge.code]
-    roads = len(set(root.tolist()))
-    note = f"{count} edges make {roads} road{'s' * (roads > 1)}"
-    if roads == 1:
-        return _Placed(s, None, ring_m, note)
-    return _Placed(s, labels(root[rows.edge.code].astype(np.int32), rows.edge.text), 0.0, note)
+    return position + offset[edges.code], root, ring_m
 
 
 def _chained(nexts: Ints, lengths: Array) -> tuple[Array, Ints, float]:
@@ -259,16 +223,16 @@ def _chained(nexts: Ints, lengths: Array) -> tuple[Array, Ints, float]:
     return offset, root, ring_m
 
 
-def _nexts(rows: _Edges, count: int) -> tuple[Ints, Ints, Array]:
+def _nexts(columns: Rows, edges: Labels) -> tuple[Ints, Ints, Array]:
     """The edge that most vehicles go to from each edge (-1 for none), the same where it leads on, and lengths [m]."""
-    order = np.lexsort((rows.time_s, rows.vehicle))
+    count, edge, vehicle = len(edges.text), edges.code, text_of(columns, "vehicle").code
+    time_s, position, speed = (np.asarray(columns[name]) for name in ("time_s", "s_m", "speed"))
+    order = np.lexsort((time_s, vehicle))
     here, there = order[:-1], order[1:]
-    step = rows.time_s[there] - rows.time_s[here]
-    edge = rows.edge.code
-    changed = (rows.vehicle[here] == rows.vehicle[there]) & (edge[here] != edge[there]) & (step <= _LONGEST_STEP_S)
+    step = time_s[there] - time_s[here]
+    changed = (vehicle[here] == vehicle[there]) & (edge[here] != edge[there]) & (step <= _LONGEST_STEP_S)
     here, there, step = here[changed], there[changed], step[changed]
-    way = 0.5 * (rows.speed[here] + rows.speed[there]) * step
-    length = rows.position_m[here] + way - rows.position_m[there]
+    length = position[here] + 0.5 * (speed[here] + speed[there]) * step - position[there]
     nexts, lengths = np.full(count, -1, dtype=np.int64), np.zeros(count)
     for one in range(count):
         from_here = np.flatnonzero(edge[here] == one)
