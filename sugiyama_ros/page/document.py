@@ -296,14 +296,8 @@ def _drivers(d: Diagnosis) -> list[dict[str, Any]]:
             "heldout_gain_nats": float(won[i]),
             "single_car_10s_before_m": ends[0][i],
             "single_car_10s_after_m": ends[1][i],
-            **{
-                key: value
-                for k in own
-                for key, value in (
-                    (ROW.entries[k], float(rows[i, k])),
-                    (f"{ROW.entries[k]}_std", stds[i].get(ROW.entries[k])),
-                )
-            },
+            **{ROW.entries[k]: float(rows[i, k]) for k in own},
+            **{f"{ROW.entries[k]}_std": stds[i].get(ROW.entries[k]) for k in own},
         }
         for i, name in enumerate(d.data.vicinity.names)
     ]
@@ -316,11 +310,10 @@ def _law(d: Diagnosis) -> str:
 
 def _of_each(error: Array) -> list[float]:
     """Root mean square of the errors (S, N) of each driver; NaN for who is not judged."""
-    found = []
-    for own in error.T:
-        known = own[np.isfinite(own)]
-        found.append(math.sqrt(float(np.mean(np.square(known)))) if known.size else math.nan)
-    return found
+    known = np.isfinite(error)
+    with np.errstate(invalid="ignore"):
+        mean: Array = np.square(np.where(known, error, 0.0)).sum(axis=0) / known.sum(axis=0)
+    return list(np.sqrt(mean).tolist())
 
 
 def _drives(d: Diagnosis) -> dict[str, Any]:

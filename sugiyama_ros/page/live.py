@@ -40,7 +40,7 @@ from sugiyama_ros.page.panels.base import (
     speed_colours,
 )
 from sugiyama_ros.page.recording import name_of
-from sugiyama_ros.page.style import CARD, PAGE, REPAINT
+from sugiyama_ros.page.style import CARD, LIVE, REPAINT
 from sugiyama_ros.page.words import WHY, may_be_chance
 from sugiyama_ros.trajectories.desired_speed import known_only
 
@@ -89,7 +89,7 @@ class _Page:
         )  # fmt: skip
         self._values = TextInput(title="strength", width=140, stylesheets=[INPUT])
         self._empty: dict[str, Any] = {}  # pictures that are not shown, because there is nothing to draw yet
-        self._status = Div(text="", stylesheets=[GlobalInlineStyleSheet(css=PAGE), CARD])
+        self._status = Div(text="", stylesheets=[GlobalInlineStyleSheet(css=LIVE), CARD])
         self._said, self._about = Div(text="", stylesheets=[CARD]), Div(text="")
         self._events = Div(text="", stylesheets=[CARD])
         self._plots: dict[str, Any] = {}
@@ -380,11 +380,10 @@ class _Critic:
         return COLOURS[0] if name == "base" else COLOURS[1 + others.index(name) % (len(COLOURS) - 1)]
 
     def _not_known(self) -> str:
-        """Say why a diagnosis may find something else, and which effects the critic does not follow."""
-        known = {*self._feed.gains, *self._feed.added}
-        missing = [_title(self._feed, name) for name in self._feed.effects if name not in known]
-        names = f" It does not know {', '.join(missing)}." if missing else ""
-        return f"<br>This is no verdict: {WHY} (<code>sugiyama diagnose</code>).{escape(names)}"
+        """Say why a diagnosis may find something else, and how many effects the critic does not follow."""
+        missing = set(self._feed.effects) - {*self._feed.gains, *self._feed.added}
+        number = f" It does not follow {len(missing)} of the {len(self._feed.effects)} effects." if missing else ""
+        return f"<br>This is no verdict: {WHY} (<code>sugiyama diagnose</code>).{number}"
 
 
 def _title(feed: Feed, name: str) -> str:

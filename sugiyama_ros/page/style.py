@@ -1,7 +1,7 @@
 """The style sheets of the pages: light and dark; the report is 800 to 1920 pixels wide, or on paper."""
 
-#: Colours, type and cards of both pages; Bokeh reads the colours of the text in the pictures from the page.
-PAGE = """
+# Colours and type of both pages; Bokeh reads the colours of the text in the pictures from the page.
+_PAGE = """
 :root { color-scheme: light dark; --back: #fff; --text: #1b1b1b; --soft: #f3f4f6; --line: #8884; --note: #5c5c5c;
   --good: #00704f; --bad: #b34700; --blue: #0072B2; --picture: #4d4d4d; }
 @media (prefers-color-scheme: dark) { :root { --back: #141414; --text: #e4e4e4; --soft: #202124; --note: #a5a5a5;
@@ -11,7 +11,8 @@ PAGE = """
   --bk-major-label-text-color: var(--picture); --bk-label-text-color: var(--picture); }
 body { font: 15px/1.45 system-ui, sans-serif; background: var(--back); color: var(--text); }
 """
-#: The style sheet of a card of the live page.
+#: The style sheets of the live page, and of a card of it.
+LIVE = _PAGE + "body { margin: .4rem 1rem; }"
 CARD = """
 :host { box-sizing: border-box; width: 100%; background: var(--soft); border-radius: 8px; padding: .5rem 1rem;
   margin: .3rem 0; }
@@ -24,7 +25,7 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
 """
 #: The style sheet of the report.
 STYLE = (
-    PAGE
+    _PAGE
     + """
 * { box-sizing: border-box; }
 body { margin: 0 auto; max-width: 1840px; padding: .8rem 1rem 3rem; }

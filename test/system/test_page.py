@@ -81,6 +81,17 @@ def test_what_was_recorded_is_read_back(recorded):
     assert np.sum(list(r.weights.values()), axis=0) == pytest.approx(1.0)
 
 
+def test_the_page_of_another_law_shows_the_parameters_of_that_law(recorded):
+    bag = recorded.parent / "idm.mcap"
+    command = [SUGIYAMA, "run", recorded.parent / "sim.mcap", "--law", "idm", "-o", bag]
+    subprocess.run(command, capture_output=True, check=True)
+    r = read_recording(bag)
+    assert r.learnt == ["idm.v0", "idm.T", "idm.s0", "idm.a", "idm.b"]
+    text = report(r, None)
+    assert "Learnt: desired time gap T" in text
+    assert "Learnt: desired speed v*" not in text
+
+
 def test_no_page_asks_for_anything_from_elsewhere(page):
     text = page.read_text()
     assert len(text) < 5_000_000
@@ -547,7 +558,7 @@ def test_a_page_shows_a_critic_whose_models_change():
     )
     # why a diagnosis may find something else; all effects that can be added are known to this critic
     assert WHY in told
-    assert "does not know" not in told
+    assert "does not follow" not in told
     drawn = {line.name: line.data_source.data for line in document.select({"type": GlyphRenderer}) if line.name}
     assert {name: list(data["gain"]) for name, data in drawn.items()} == {
         "base": [0.0, 0.0],
