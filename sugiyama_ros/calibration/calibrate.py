@@ -34,14 +34,15 @@ def calibrate_drivers(
     settings: Settings,
     scheduler: str | None = None,
     on_progress: OnProgress = lambda done, total: None,
+    where: str = "",
 ) -> Calibration:
     """Calibrate the drivers of a recording in the way that the settings ask for. Raises InputError.
 
-    scheduler: address of a Dask scheduler whose workers do the work.
+    scheduler: address of a Dask scheduler whose workers do the work; where: name of the file, for errors.
     """
     road = whole_road(tracks)
     if road is None and settings.formulation == "paper":
-        road = tracks.dense()
+        road = tracks.dense(where)
     with workers(tracks.runs, scheduler) as work:
         if settings.is_pooled:
             return _named(_pooled(tracks, road, settings, work), tracks)

@@ -108,7 +108,7 @@ def calibrate(options: _CalibrateOptions) -> None:
     print_warnings(tracks)
     began = time.monotonic()
     with stage("calibrating") as advance:
-        found = calibrate_drivers(tracks, settings, options.scheduler, advance)
+        found = calibrate_drivers(tracks, settings, options.scheduler, advance, str(options.sources[0]))
     wall_s = time.monotonic() - began
     if output is not None:
         found.write(output)

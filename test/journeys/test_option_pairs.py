@@ -110,7 +110,6 @@ LONG = {"demo", "run", "calibrate", "diagnose", "study", "compare", "report", "l
 #: Every case is refused: nothing is downloaded in tests.
 REFUSED = {"fetch"}
 _CAUSAL = ("no --formulation", "--formulation causal")
-_ONE_LANE = ("--formulation paper", "--effects", "--regularise", "--classes", "--output", "--law")
 #: What is refused, by command: values that contradict each other. An option stands for each of its values, and "no
 #: --option" for its absence.
 CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
@@ -147,7 +146,7 @@ CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
         *(("--effects", name) for name in ("--profile", "--classes")),
         *(("--classes", name) for name in ("--regularise", "--profile")),
         *(("--regularise", "--profile", how) for how in _CAUSAL),
-        *((several, name) for several in ("tracks.parquet", "ring.mcap second.mcap") for name in _ONE_LANE),
+        *((several, "--formulation paper") for several in ("tracks.parquet", "ring.mcap second.mcap")),
     ],
     "diagnose": [
         ("--output old.yaml", "no --overwrite"),
