@@ -25,11 +25,10 @@ from sugiyama_ros.calibration.calibrate import each_driver
 from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.diagnosis.compare import compare
 from sugiyama_ros.diagnosis.diagnose import diagnose
-from sugiyama_ros.driver.parameters import NAMES, REFERENCE_PERIOD_S, defaults
+from sugiyama_ros.driver.parameters import REFERENCE_PERIOD_S, defaults
 from sugiyama_ros.effects.control import compile_functions
 from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.filters.online import OnlineFilter, warm_up
-from sugiyama_ros.filters.shown import shown_of
 from sugiyama_ros.road import Road
 
 _VEHICLES, _RING_M, _DURATION_S = 3, 35.0, 30.0
@@ -78,7 +77,7 @@ def _print(line: str) -> None:
 
 
 def _follow() -> None:
-    """Filter a few samples of one driver online, without and with effects, and show the parameters."""
+    """Filter a few samples of one driver online, without and with effects."""
     warm_up()
     row = switch_on(ROW.with_effects(defaults()), _EFFECT, _VALUES)
     online = OnlineFilter(REFERENCE_PERIOD_S, Road(_RING_M), row)
@@ -87,7 +86,6 @@ def _follow() -> None:
         time_s = sample * REFERENCE_PERIOD_S
         position = [(m * _RING_M / _VEHICLES + 5.0 * time_s) % _RING_M for m in vehicles]
         online.step(position, vehicles, length, time_s, (position[-1], vehicles[-1], length[-1]))
-    shown_of(online, range(len(NAMES)))
 
 
 def main() -> None:

@@ -1,18 +1,9 @@
 """The only place for compiler options: how the functions in the inner loops are compiled, and where the code is kept.
 
-Every compiled function of this package is decorated with `kernel`. ``python -m benchmarks.compiler`` measures
-what each option is worth, by compiling the causal filter without it. Time without an option over time with all of them,
-on one thread (CPU) and with the drivers on two threads (least of 25 rounds, 2 cores, numba 0.68, November 2026):
-
-============  ==========  ===========
-without       one thread  two threads
-============  ==========  ===========
-numpy         2.88        2.69
-nrt           2.34        2.15
-into_callers  1.25        1.23
-inline        0.97        1.00
-nogil         1.01        1.92
-============  ==========  ===========
+Every compiled function of this package is decorated with `kernel`. What its options are worth: the causal filter takes
+2.9 times as long without the vector instructions of ``vectorised``, 2.3 times as long if references are counted, 1.25
+times as long if kernels are not put into their callers, and with the drivers on two threads 1.9 times as long without
+``nogil`` (2 cores, numba 0.68, November 2026).
 
 Compiled code is kept where numba keeps it: in ``__pycache__`` beside the source, in NUMBA_CACHE_DIR if that is set, or
 in the user's cache folder. numba compiles a function anew when its own file changes, but not when a function that it
@@ -44,8 +35,6 @@ from sugiyama_ros import progress
 from sugiyama_ros.fingerprint import fingerprint, kernels_in
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
-#: Options that the benchmark switches off, one after the other.
-OPTIONS = {"nogil", "nrt", "numpy", "inline", "into_callers"}
 # How everything is compiled follows from this file.
 _COMPILER = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
 # Options for a function that Python does not call.
@@ -56,14 +45,13 @@ _ALONE = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 def kernel(function: _Function) -> _Function: ...
 @overload
 def kernel(
-    *, allocates: bool = ..., vectorised: bool = ..., inline: bool = ..., cached: bool = ...
+    *, allocates: bool = ..., vectorised: bool = ..., cached: bool = ...
 ) -> Callable[[_Function], _Function]: ...
 def kernel(
     function: Any = None,
     *,
     allocates: bool = True,
     vectorised: bool = False,
-    inline: bool = False,
     cached: bool = True,
 ) -> Any:
     """Compile a function.
@@ -82,8 +70,6 @@ def kernel(
     vectorised : bool
         True for a function with a loop over numbers. Dividing by zero then gives infinity instead of an exception
         (``error_model="numpy"``), without which compilers make no vector instructions of the loop.
-    inline : bool
-        True for a function whose code is put into its callers, so that they count no references for it either.
     cached : bool
         False for a function that is made of others at run time, which numba cannot keep.
 
@@ -93,16 +79,13 @@ def kernel(
         The compiled function.
     """
     if function is None:
-        options = {"allocates": allocates, "vectorised": vectorised, "inline": inline, "cached": cached}
+        options = {"allocates": allocates, "vectorised": vectorised, "cached": cached}
         return lambda one: kernel(one, **options)
-    given: dict[str, Any] = {"nogil": "nogil" in OPTIONS}
-    if vectorised and "numpy" in OPTIONS:
+    given: dict[str, Any] = {"nogil": True}
+    if vectorised:
         given["error_model"] = "numpy"
-    if inline and "inline" in OPTIONS:
-        given["inline"] = "always"
-    if not allocates and "into_callers" in OPTIONS:
+    if not allocates:
         given["forceinline"] = True
-    if not allocates and "nrt" in OPTIONS:
         try:
             return Kernel(function, {"_nrt": False, **given}, cached)
         except (TypeError, KeyError):  # a numba without this option

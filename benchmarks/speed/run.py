@@ -18,8 +18,7 @@ from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.kalman import NO_REAR
 from sugiyama_ros.filters.online import OnlineFilter
-from sugiyama_ros.filters.online_kernel import step
-from sugiyama_ros.filters.online_memory import online_arrays
+from sugiyama_ros.filters.online_step import online_arrays, step
 from sugiyama_ros.formats.convert import write_trajectories
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.mcap_writer import BagWriter

@@ -26,9 +26,10 @@ from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.driver.parameters import SIGMA_NU, at_period, horizon_at, index
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.effects.control import displacements, is_contaminated, noise_std_factors, weigh
-from sugiyama_ros.filters.causal import SETTLING, ChainJob, filter_each
+from sugiyama_ros.filters.causal import ChainJob, filter_each
 from sugiyama_ros.filters.chain import adaptation_of
 from sugiyama_ros.filters.state import STATE
+from sugiyama_ros.filters.update import SETTLING
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import FOLDS, Recorded, Vicinity
 from sugiyama_ros.fit.score import PointwiseDensity, between_measurements, filtered_states, jobs_of, together

@@ -149,7 +149,7 @@ def _take_off_backward(speed: float, scratch: Array, period: float) -> None:
         scratch[UTILITY_ROW, k] -= backward_penalty(speed + period * scratch[GRID_ROW, k])
 
 
-@kernel(inline=True)
+@kernel(allocates=False)
 def utilities(
     gap: float, speed: float, leader_speed: float, driver: Preferences, scratch: Array, period: float, horizon: int
 ) -> None:
@@ -194,7 +194,7 @@ def _sum(scratch: Array, row: int) -> float:
     return total
 
 
-@kernel(vectorised=True, inline=True)
+@kernel(allocates=False, vectorised=True)
 def boltzmann_mean(scratch: Array, rationality: float) -> float:
     """Compute the Boltzmann mean of the actions [m/s^2] in ``scratch``, which ``utilities`` has filled."""
     best = _best(scratch)

@@ -1,8 +1,8 @@
 """The Kalman algebra of filters that run side by side, one vector instruction for all of them.
 
-``step`` has the same algebra for one filter. All filters have states of the same size, so they differ only in their
-numbers, and in the entries of F that are 0: what may differ from 0 in one filter is multiplied in all of them. A
-filter's results do not depend on the others, because a product with 0 changes no sum.
+The modules ``predict`` and ``update`` have the same algebra for one filter. All filters have states of the same size,
+so they differ only in their numbers, and in the entries of F that are 0: what may differ from 0 in one filter is
+multiplied in all of them. A filter's results do not depend on the others, because a product with 0 changes no sum.
 
 An array of vectors has ABREAST numbers along its last axis, one for each filter. A vector is named by the array and by
 its number in the array: entry (i, j) of an array of shape (N, N, ABREAST) is vector i N + j. In a loop over the last
@@ -55,25 +55,25 @@ def _signature(into: Any, i: Any, factors: tuple[Any, ...]) -> Any:
 
 
 @intrinsic
-def put_product(_: Any, into: Any, i: Any, *factors: Any) -> Any:
+def _put_product(_: Any, into: Any, i: Any, *factors: Any) -> Any:
     """Make vector i of ``into`` the product of one or more vectors; factors: array and number of each."""
     return _signature(into, i, factors), _code("")
 
 
 @intrinsic
-def add_product(_: Any, into: Any, i: Any, *factors: Any) -> Any:
+def _add_product(_: Any, into: Any, i: Any, *factors: Any) -> Any:
     """Add the product of one or more vectors to vector i of ``into``; factors: array and number of each."""
     return _signature(into, i, factors), _code("fadd")
 
 
 @intrinsic
-def subtract_product(_: Any, into: Any, i: Any, *factors: Any) -> Any:
+def _subtract_product(_: Any, into: Any, i: Any, *factors: Any) -> Any:
     """Subtract the product of one or more vectors from vector i of ``into``; factors: array and number of each."""
     return _signature(into, i, factors), _code("fsub")
 
 
 #: Rows of ``Abreast.sample``: slope of the measurement, predicted less measured position [m], and the weights of the
-#: innovation in the mean and in the covariance, as of ``measurement.weights``. All are 0 where no sample is taken in.
+#: innovation in the mean and in the covariance, as of ``update.weights``. All are 0 where no sample is taken in.
 SLOPE, OFF, STEP, SHRINK = range(4)
 
 
@@ -139,27 +139,20 @@ def linearised_of(c: int, abreast: Abreast) -> Linearised:
 
 
 @kernel(allocates=False)
-def take_in(x: int, abreast: Abreast) -> None:
+def update(x: int, abreast: Abreast) -> None:
     """Update all filters with their samples of the position in entry x of the state."""
     mean, covariance, gain, sample, live = abreast.mean, abreast.covariance, abreast.gain, abreast.sample, abreast.live
     size = len(mean)
     for i in live:
-        put_product(gain, i, sample, SLOPE, covariance, x * size + i)
-        subtract_product(mean, i, gain, i, sample, STEP, sample, OFF)
+        _put_product(gain, i, sample, SLOPE, covariance, x * size + i)
+        _subtract_product(mean, i, gain, i, sample, STEP, sample, OFF)
     for a in range(len(live)):
         i = live[a]
         for b in range(a):
             j = live[b]
-            subtract_product(covariance, i * size + j, gain, i, gain, j, sample, SHRINK)
-            put_product(covariance, j * size + i, covariance, i * size + j)
-        subtract_product(covariance, i * size + i, gain, i, gain, i, sample, SHRINK)
-
-
-@kernel(allocates=False)
-def begin_period(abreast: Abreast) -> None:
-    """Clear F and Q, before ``conclude`` fills them in for each filter."""
-    abreast.jacobian[:] = 0.0
-    abreast.noise[:] = 0.0
+            _subtract_product(covariance, i * size + j, gain, i, gain, j, sample, SHRINK)
+            _put_product(covariance, j * size + i, covariance, i * size + j)
+        _subtract_product(covariance, i * size + i, gain, i, gain, i, sample, SHRINK)
 
 
 @kernel(allocates=False)
@@ -188,21 +181,21 @@ def predict(abreast: Abreast) -> None:
     for i in live:
         k = columns[i, 0]
         for j in live:
-            put_product(half, i * size + j, jacobian, i * size + k, covariance, k * size + j)
+            _put_product(half, i * size + j, jacobian, i * size + k, covariance, k * size + j)
         for c in range(1, counts[i]):
             k = columns[i, c]
             for j in live:
-                add_product(half, i * size + j, jacobian, i * size + k, covariance, k * size + j)
+                _add_product(half, i * size + j, jacobian, i * size + k, covariance, k * size + j)
     for a in range(len(live)):
         j = live[a]
         for d in range(a, len(live)):
             i = live[d]
             entry = i * size + j
-            put_product(covariance, entry, half, i * size + columns[j, 0], jacobian, j * size + columns[j, 0])
+            _put_product(covariance, entry, half, i * size + columns[j, 0], jacobian, j * size + columns[j, 0])
             for c in range(1, counts[j]):
-                add_product(covariance, entry, half, i * size + columns[j, c], jacobian, j * size + columns[j, c])
+                _add_product(covariance, entry, half, i * size + columns[j, c], jacobian, j * size + columns[j, c])
             if i // STATE == j // STATE:
-                add_product(covariance, entry, abreast.noise, entry)
-            put_product(covariance, j * size + i, covariance, entry)
+                _add_product(covariance, entry, abreast.noise, entry)
+            _put_product(covariance, j * size + i, covariance, entry)
     for i in range(size):
-        put_product(abreast.mean, i, abreast.next_mean, i)
+        _put_product(abreast.mean, i, abreast.next_mean, i)

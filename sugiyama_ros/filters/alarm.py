@@ -16,7 +16,7 @@ from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.filters.state import Linearised, State
 from sugiyama_ros.jit import kernel
 
-# Time [s] from one possible onset to the next, and how long one is watched.
+# Time [s] from one possible onset to the next, and how long one is watched; before that time, no alarm is given.
 _ONSET_S, _WATCHED_S = 2.0, 30.0
 # Mean time [s] between two false alarms of a driver, at least, where the model is right.
 _BETWEEN_FALSE_S = 7200.0
@@ -24,8 +24,8 @@ _BETWEEN_FALSE_S = 7200.0
 _JUMP_VAR = 0.15**2
 # Normalised innovation beyond which a sample tells no more: one gross error is no change of style.
 _LARGEST = 3.5
-# Time [s] of a block of innovations, time over which blocks count, and time in which no alarm is given at first.
-_BLOCK_S, _BLOCKS_S, _QUIET_S = 4.0, 100.0, 30.0
+# Time [s] of a block of innovations, and time over which blocks count.
+_BLOCK_S, _BLOCKS_S = 2.0 * _ONSET_S, 100.0
 # Standard errors by which the blocks must exceed what white innovations make of them.
 _SURE = 2.0
 # Entries of ``Alarm.colour``.
@@ -63,7 +63,7 @@ class Alarm(NamedTuple):
         every, _ = onsets_for(period_s)
         self.every[0], self.threshold[0] = every, _BETWEEN_FALSE_S / (every * period_s)
         block = max(1, round(_BLOCK_S / period_s))
-        self.colour[:3] = block, math.exp(-block * period_s / _BLOCKS_S), _QUIET_S / period_s
+        self.colour[:3] = block, math.exp(-block * period_s / _BLOCKS_S), _WATCHED_S / period_s
 
 
 @kernel(allocates=False)

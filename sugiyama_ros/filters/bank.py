@@ -14,23 +14,23 @@ from sugiyama_ros.road import Road
 
 #: Name of the model without any further effect.
 BASE = "base"
-#: Values at which the effects of the bank begin: those that declare some. Places that they leave out are tried.
-BANK: Mapping[str, Mapping[str, float]] = {name: e.bank for name, e in EFFECTS.items() if e.bank is not None}
+# Values at which the effects of the bank begin: those that declare some. Places that they leave out are tried.
+_BANK: Mapping[str, Mapping[str, float]] = {name: e.bank for name, e in EFFECTS.items() if e.bank is not None}
 #: Time [s] over which weights must be stable to be settled, and by how much they may change then.
-SETTLED_S, STABLE = 60.0, 0.1
-# Places all along a ring at which an effect of a place begins, and its width as a share of the ring.
-_PLACES, _WIDTH = 4, 0.5
+SETTLED_S, _STABLE = 60.0, 0.1
+# Places all along a ring at which an effect of a place begins; it reaches over the next places.
+_PLACES = 4
 
 
 def variants_of(name: str, road: Road) -> tuple[Given, ...]:
     """Return the values at which an effect begins in the bank; none for an effect of a place on an open road."""
-    given = BANK[name]
+    given = _BANK[name]
     left_out = [p for p in effect(name).parameters if p.axis == "place" and p.name not in given]
     if not left_out:
         return (given,)
     lap = road.circumference_m
     return tuple(
-        {**given, left_out[0].name: (k + 0.5) / _PLACES * lap, "width": _WIDTH * lap}
+        {**given, left_out[0].name: (k + 0.5) / _PLACES * lap, "width": 2.0 / _PLACES * lap}
         for k in range(_PLACES if road.is_ring else 0)
     )
 
@@ -46,34 +46,30 @@ class _Variant:
         names = [f"{name}.{switch}" for switch in effect(name).switches] if fitted else []
         # half the way to the next place
         near_m = 0.5 / _PLACES * road.circumference_m
-        places = {f"{name}.{p}": near_m for p in variants_of(name, road)[0] if p not in BANK[name]} if fitted else {}
-        self.values = values_of(row, [*names, *places], places) if names else None
+        places = {f"{name}.{p}": near_m for p in variants_of(name, road)[0] if p not in _BANK[name]} if fitted else {}
+        self.values = values_of(row, [*names, *places], places)
         self._beside: dict[int, Sensitivity] = {}
 
     def meet(self, vehicle: int) -> None:
         """Follow one more vehicle."""
         self.filters[vehicle] = OnlineFilter(self._period_s, self._road, self._row)
-        if self.values is not None:
-            self._beside[vehicle] = Sensitivity(self.filters[vehicle], self.values)
+        self._beside[vehicle] = Sensitivity(self.filters[vehicle], self.values)
 
     def leave(self, vehicle: int) -> None:
         """Follow a vehicle no longer."""
-        del self.filters[vehicle]
-        self._beside.pop(vehicle, None)
+        del self.filters[vehicle], self._beside[vehicle]
 
     def step(self, vehicle: int, sample: tuple[Any, ...]) -> tuple[bool, float]:
         """Take in a sample of one vehicle; returns whether it counts, and its log-likelihood."""
         estimate = self.filters[vehicle].step(*sample)
-        if self._beside:
-            self._beside[vehicle].take_in(estimate, sample)
+        self._beside[vehicle].take_in(estimate, sample)
         return estimate.scored, estimate.log_likelihood
 
     def fit(self, elapsed_s: float) -> None:
         """Go on with the values that fit what came so far."""
-        if self.values is not None:
-            moved = self.values.move(elapsed_s)
-            for beside in self._beside.values():
-                beside.move(moved)
+        moved = self.values.move(elapsed_s)
+        for beside in self._beside.values():
+            beside.move(moved)
 
     @property
     def fitted(self) -> dict[str, float]:
@@ -81,8 +77,7 @@ class _Variant:
         if self._name == BASE:
             return {}
         row = self._row.copy()
-        if self.values is not None:
-            row[self.values.places] = self.values.mean
+        row[self.values.places] = self.values.mean
         found = {p: float(row[ROW.index_of(self._name, p.name)]) for p in effect(self._name).parameters}
         lap_m = self._road.circumference_m
         return {p.name: v % lap_m if lap_m > 0.0 and p.axis == "place" else v for p, v in found.items()}
@@ -90,8 +85,6 @@ class _Variant:
     @property
     def cost(self) -> float:
         """What the fitted values cost [nats]: how much narrower the data have made them than their prior."""
-        if self.values is None:
-            return 0.0
         narrower = np.linalg.slogdet(self.values.covariance)[1] - 2.0 * np.sum(np.log(self.values.prior_std))
         return max(0.0, -0.5 * float(narrower))
 
@@ -117,7 +110,7 @@ class Bank:
         base = ROW.with_effects(parameters)
         self.row, self.effects = base, active(base)
         self._models = {BASE: [_Variant(period_s, road, base, BASE)]}
-        for name in BANK:
+        for name in _BANK:
             given = () if name in self.effects else variants_of(name, road)
             if given:
                 rows = [switch_on(base, name, values) for values in given]
@@ -210,4 +203,4 @@ class Bank:
         if not self._told or self._told[0][0] > self._time_s - SETTLED_S:
             return False
         weights = np.array([w for _, w in self._told])
-        return bool(np.all(np.ptp(weights, axis=0) <= STABLE))
+        return bool(np.all(np.ptp(weights, axis=0) <= _STABLE))

@@ -14,8 +14,8 @@ except for effects). For the last vehicle the noise is the whole acceleration. P
 as logarithms that wander around their prior (Ornstein-Uhlenbeck), so that a parameter that the data do not determine
 stays near its prior.
 
-``step`` states the model. This module filters recordings with it, several chains side by side, so that all their
-drivers can consider their actions at once; ``online`` filters one driver as the samples come.
+The modules ``predict`` and ``update`` state the model. This module filters recordings with it, several chains side by
+side, so that all their drivers can consider their actions at once; ``online`` filters one driver as the samples come.
 """
 
 import math
@@ -40,43 +40,39 @@ from sugiyama_ros.filters.abreast import (
     STEP,
     Abreast,
     abreast_for,
-    begin_period,
     linearised_of,
     predict,
     share_columns,
     state_of,
-    take_in,
+    update,
 )
 from sugiyama_ros.filters.chain import NOT_ADAPTED, Adaptation, Chain, adaptation_of, chain_parameters
-from sugiyama_ros.filters.past import begin_past, entries_of_past, forget_past, periods_back
-from sugiyama_ros.filters.sample import (
-    forget_vehicle,
-    gross_in_a_row,
-    log_density,
-    measurement,
-    noise_var_at,
-    start_vehicle,
-    weights,
-)
+from sugiyama_ros.filters.predict import add_all_components, aim, linearise
 from sugiyama_ros.filters.state import (
     MOVING,
     STATE,
     Drivers,
     FilterStep,
-    Moment,
     Scene,
     State,
-    Workspace,
-    drivers_at,
+    begin_past,
+    entries_of_past,
+    forget_past,
+    periods_back,
     points_of,
     scene_at,
-    workspace_for,
 )
-from sugiyama_ros.filters.step import add_all_components, aim_all, conclude
+from sugiyama_ros.filters.update import (
+    SETTLING,
+    forget_vehicle,
+    gross_in_a_row,
+    innovation,
+    log_density,
+    start_vehicle,
+    weights,
+)
 from sugiyama_ros.jit import kernel
 
-#: Samples after the start of a vehicle's record (or after a break) whose innovations are not scored.
-SETTLING = 6
 # Arrays of a chain, in the order of ``Observed``.
 _MEASURED = ("position_m", "identity", "length_m", "rear")
 
@@ -103,7 +99,7 @@ class Predicted(NamedTuple):
     log_likelihood: Array
 
 
-class Trace(NamedTuple):
+class _Trace(NamedTuple):
     """Arrays for what is known after the update with each sample; an array of length 0 is not filled.
 
     means: (C, T, 4 M + A); covariances: (C, T, 4 M + A, 4 M + A); motion: (C, T, 2), own acceleration and what the
@@ -187,18 +183,18 @@ def log_likelihood(chain: Chain, parameters: Array, ahead: Array | None = None) 
 
 def _filtered(
     jobs: Sequence[ChainJob], traced: int, given: Adaptation = NOT_ADAPTED
-) -> Iterator[tuple[int, Predicted, Trace]]:
+) -> Iterator[tuple[int, Predicted, _Trace]]:
     """Filter drivers, side by side where they can; traced: how many of the arrays of ``Trace`` are filled."""
     for numbers, adaptation in _side_by_side(jobs, given):
         some = [jobs[i] for i in numbers]
         samples = max(len(job.chain.position_m) for job in some)
         size = STATE * some[0].chain.position_m.shape[1] + len(adaptation.names)
         shapes = ((size,), (size, size), (2,))
-        trace = Trace(*(np.zeros((len(some) if k < traced else 0, samples, *shape)) for k, shape in enumerate(shapes)))
+        trace = _Trace(*(np.zeros((len(some) if k < traced else 0, samples, *shape)) for k, shape in enumerate(shapes)))
         predicted = _run(some, adaptation, trace, samples)
         for k, (i, job) in enumerate(zip(numbers, some, strict=True)):
             last = len(job.chain.position_m)
-            own = Trace(*(values[k, :last] if len(values) else values for values in trace))
+            own = _Trace(*(values[k, :last] if len(values) else values for values in trace))
             yield i, Predicted(*(values[k, :last] for values in predicted)), own
 
 
@@ -218,17 +214,18 @@ def _side_by_side(jobs: Sequence[ChainJob], given: Adaptation) -> Iterator[tuple
             yield numbers[first : first + ABREAST], adaptation
 
 
-def _run(jobs: Sequence[ChainJob], adaptation: Adaptation, trace: Trace, samples: int) -> Predicted:
+def _run(jobs: Sequence[ChainJob], adaptation: Adaptation, trace: _Trace, samples: int) -> Predicted:
     """Run the compiled filter with fresh arrays, of each driver as long as it is there; (C, T) each."""
     chains, one = [job.chain for job in jobs], jobs[0].chain
     vehicles = one.position_m.shape[1]
     rows = at_period(np.array([chain_parameters(j.parameters, j.ahead, vehicles) for j in jobs]), one.period_s)
     predicted = Predicted(*(np.full((len(jobs), samples), np.nan) for _ in range(3)))
+    places, prior_var = adaptation.arrays
     start_s, ends = np.array([chain.start_s for chain in chains]), np.array([chain.end for chain in chains])
     position, identity, length, rear = (_stacked([getattr(chain, name) for chain in chains]) for name in _MEASURED)
     run(
         Observed(position, identity, length, rear, start_s, ends),
-        drivers_at(rows, *adaptation.arrays),
+        Drivers(rows, places, np.log(rows[:, 0, [UTILITY[k] for k in places]]), prior_var),
         ACTIONS,
         jobs[0].is_rough,
         scene_at(one.period_s, one.circumference_m, adaptation.relaxation_s),
@@ -254,11 +251,12 @@ def _stacked(arrays: Sequence[Any]) -> Any:
 
 
 class _Filters(NamedTuple):
-    """What C filters keep from step to step.
+    """What C filters keep from step to step, and the arrays that they share.
 
-    abreast: their states; known: (C, M) of ``State``; places, root, points: of ``Workspace``, with an axis of C before;
+    abreast: their states; known: (C, M) of ``State``; places, root, points: of ``FilterStep``, an axis of C before;
     parameters, prior_mean: of ``Drivers``, with an axis of C before; waited: (C, M) periods since a vehicle's first
-    position; settled: (C, M) samples since a vehicle's record began; gross: (C, M) gross errors in a row.
+    position; settled: (C, M) samples since a vehicle's record began; gross: (C, M) gross errors in a row. Shared:
+    batch, chosen, slope and held_slope, which every step overwrites; adapted and prior_var of ``Drivers``.
     """
 
     abreast: Abreast
@@ -271,11 +269,6 @@ class _Filters(NamedTuple):
     waited: Ints
     settled: Ints
     gross: Ints
-
-
-class _Shared(NamedTuple):
-    """What C filters share: arrays that every step overwrites, and the adapted parameters with their prior variance."""
-
     batch: Batch
     chosen: Array
     slope: Array
@@ -285,52 +278,60 @@ class _Shared(NamedTuple):
 
 
 @kernel(allocates=False)
-def _drivers(c: int, filters: _Filters, shared: _Shared) -> Drivers:
+def _drivers(c: int, filters: _Filters) -> Drivers:
     """Return the drivers of chain c."""
-    return Drivers(filters.parameters[c], shared.adapted, filters.prior_mean[c], shared.prior_var)
+    return Drivers(filters.parameters[c], filters.adapted, filters.prior_mean[c], filters.prior_var)
 
 
 @kernel(allocates=False)
-def _step_of(c: int, t: int, observed: Observed, filters: _Filters, shared: _Shared, scene: Scene) -> FilterStep:
-    """Return what the functions of ``step`` take, of chain c at sample t."""
-    moment = Moment(observed.length[c, t], observed.rear[c, t], observed.start_s[c] + t * scene.period_s)
-    own = filters.places[c], filters.root[c], filters.points[c]
-    workspace = Workspace(*own, shared.chosen, shared.slope, shared.held_slope)
-    state, out = state_of(c, filters.abreast, filters.known), linearised_of(c, filters.abreast)
-    return FilterStep(state, _drivers(c, filters, shared), moment, scene, workspace, shared.batch, out)
+def _step_of(c: int, t: int, observed: Observed, filters: _Filters, scene: Scene) -> FilterStep:
+    """Return what the functions of ``predict`` take, of chain c at sample t."""
+    time_s = observed.start_s[c] + t * scene.period_s
+    return FilterStep(
+        state_of(c, filters.abreast, filters.known),
+        _drivers(c, filters),
+        scene,
+        linearised_of(c, filters.abreast),
+        filters.batch,
+        observed.length[c, t],
+        observed.rear[c, t],
+        time_s,
+        filters.places[c],
+        filters.root[c],
+        filters.points[c],
+        filters.chosen,
+        filters.slope,
+        filters.held_slope,
+    )
 
 
 @kernel(allocates=False)
-def _begin_sample(c: int, t: int, m: int, observed: Observed, filters: _Filters, shared: _Shared) -> bool:
-    """Forget vehicle m of chain c if it has gone; returns whether a vehicle is there at sample t."""
+def _is_there(c: int, t: int, m: int, observed: Observed, filters: _Filters) -> bool:
+    """Whether there is a vehicle m of chain c at sample t; what was known is forgotten if it has gone."""
     state, identity = state_of(c, filters.abreast, filters.known), observed.identity[c]
     filters.settled[c, m] += 1
     filters.waited[c, m] += 1
     if identity[t, m] < 0 or (t > 0 and identity[t, m] != identity[t - 1, m]):
         forget_vehicle(m, state)
-        forget_past(m, state, _drivers(c, filters, shared))
+        forget_past(m, state, _drivers(c, filters))
         filters.settled[c, m] = filters.gross[c, m] = 0
     return bool(identity[t, m] >= 0)
 
 
 @kernel(allocates=False)
-def _meet(
-    c: int, t: int, m: int, observed: Observed, filters: _Filters, shared: _Shared, scene: Scene, predicted: Predicted
-) -> None:
-    """Put the sample of vehicle m into ``Abreast.sample`` of chain c, if it is to be taken in."""
+def _compare(c: int, t: int, m: int, observed: Observed, filters: _Filters, scene: Scene, predicted: Predicted) -> None:
+    """Compare the sample of vehicle m of chain c with its prediction: put into ``Abreast.sample`` what it counts."""
     sample = filters.abreast.sample
     for row in range(len(sample)):
         sample[row, c] = 0.0
     if m == 0:
         predicted.innovation[c, t], predicted.innovation_var[c, t] = np.nan, np.nan
         predicted.log_likelihood[c, t] = np.nan
-    if not _begin_sample(c, t, m, observed, filters, shared):
+    if not _is_there(c, t, m, observed, filters):
         return
     state, parameters, waited = state_of(c, filters.abreast, filters.known), filters.parameters[c], filters.waited[c]
-    mean, known, position, circumference = state.mean, state.known, observed.position[c, t, m], scene.circumference_m
-    x = STATE * m
-    off, factor = measurement(mean[x], parameters[m], circumference)
-    variance = factor * factor * state.covariance[x, x] + noise_var_at(mean[x], parameters[m], circumference)
+    known, position, x = state.known, observed.position[c, t, m], STATE * m
+    y, variance, slope = innovation(m, position, state, parameters[m], scene)
     if m == 0 and known[0] == MOVING:
         predicted.innovation_var[c, t] = variance
     if math.isnan(position):
@@ -339,11 +340,8 @@ def _meet(
         start_vehicle(m, position, waited[m] * scene.period_s, state, parameters, scene)
         waited[m] = 0
         if known[m] == MOVING:
-            begin_past(m, state, _drivers(c, filters, shared), scene.period_s)
+            begin_past(m, state, _drivers(c, filters), scene.period_s)
         return
-    y = position - mean[x] - off
-    if circumference > 0.0:
-        y -= circumference * round(y / circumference)
     if m == 0:
         predicted.innovation[c, t] = y
         if filters.settled[c, m] > SETTLING:
@@ -351,21 +349,21 @@ def _meet(
     if is_contaminated(parameters[m]):
         before = state.covariance[x, x]
         filters.gross[c, m] = gross_in_a_row(m, filters.gross[c, m], y, variance, True, state, scene)
-        variance += factor * factor * (state.covariance[x, x] - before)
+        variance += slope * slope * (state.covariance[x, x] - before)
     step, shrink = weights(y, variance, parameters[m])
-    sample[SLOPE, c], sample[OFF, c], sample[STEP, c], sample[SHRINK, c] = factor, -y, step, shrink
+    sample[SLOPE, c], sample[OFF, c], sample[STEP, c], sample[SHRINK, c] = slope, -y, step, shrink
 
 
 @kernel(allocates=False)
-def _put_adapted(c: int, filters: _Filters, shared: _Shared) -> None:
+def _put_adapted(c: int, filters: _Filters) -> None:
     """Put the present values of the adapted parameters into the own driver's row."""
     first = STATE * filters.known.shape[1]
-    for k in range(len(shared.adapted)):
-        filters.parameters[c, 0, UTILITY[shared.adapted[k]]] = math.exp(filters.abreast.mean[first + k, c])
+    for k in range(len(filters.adapted)):
+        filters.parameters[c, 0, UTILITY[filters.adapted[k]]] = math.exp(filters.abreast.mean[first + k, c])
 
 
 @kernel(allocates=False)
-def _record(c: int, t: int, state: State, action: float, next_speed: float, period_s: float, trace: Trace) -> None:
+def _record(c: int, t: int, state: State, action: float, next_speed: float, period_s: float, trace: _Trace) -> None:
     """Fill in the trace after the update with a sample."""
     if len(trace.means) > 0:
         for i in range(trace.means.shape[2]):
@@ -378,33 +376,32 @@ def _record(c: int, t: int, state: State, action: float, next_speed: float, peri
 
 
 @kernel(allocates=False)
-def _filter(
-    observed: Observed, filters: _Filters, shared: _Shared, scene: Scene, predicted: Predicted, trace: Trace
-) -> None:
+def _filter(observed: Observed, filters: _Filters, scene: Scene, predicted: Predicted, trace: _Trace) -> None:
     """Run all filters over all samples; arguments as for ``run``."""
     count, ends, abreast = len(observed.samples), observed.samples, filters.abreast
     for t in range(observed.position.shape[1]):
         for m in range(observed.position.shape[2]):
             for c in range(count):
                 if t < ends[c]:
-                    _meet(c, t, m, observed, filters, shared, scene, predicted)
-            take_in(STATE * m, abreast)
+                    _compare(c, t, m, observed, filters, scene, predicted)
+            update(STATE * m, abreast)
         used = 0
         for c in range(count):
             if t < ends[c]:
-                _put_adapted(c, filters, shared)
-                used = aim_all(_step_of(c, t, observed, filters, shared, scene), used)
-        consider(used, scene.period_s, scene.horizon, shared.batch)
+                _put_adapted(c, filters)
+                used = aim(_step_of(c, t, observed, filters, scene), used)
+        consider(used, scene.period_s, scene.horizon, filters.batch)
         changed = False
         for c in range(count):
             if t < ends[c]:
-                changed = add_all_components(_step_of(c, t, observed, filters, shared, scene)) or changed
-        decide(used, shared.batch, changed)
-        begin_period(abreast)
+                changed = add_all_components(_step_of(c, t, observed, filters, scene)) or changed
+        decide(used, filters.batch, changed)
+        abreast.jacobian[:] = 0.0
+        abreast.noise[:] = 0.0
         for c in range(count):
             if t < ends[c]:
-                step = _step_of(c, t, observed, filters, shared, scene)
-                action = conclude(step)
+                step = _step_of(c, t, observed, filters, scene)
+                action = linearise(step, 1.0)
                 share_columns(c, abreast)
                 _record(c, t, step.state, action, abreast.next_mean[1, c], scene.period_s, trace)
         predict(abreast)
@@ -419,33 +416,37 @@ def run(
     scene: Scene,
     periods_back: int,
     predicted: Predicted,
-    trace: Trace,
+    trace: _Trace,
 ) -> None:
     """Filter C chains, at most ABREAST, over up to T samples; actions: (K,) [m/s^2] that the drivers consider."""
     count, _, vehicles = observed.position.shape
-    adapted, a = drivers.adapted, len(drivers.adapted)
-    past = entries_of_past(vehicles, periods_back)
-    size, one = STATE * vehicles + a + past, workspace_for(vehicles, a, past)
+    a, past = len(drivers.adapted), entries_of_past(vehicles, periods_back)
+    size, most = STATE * vehicles + a + past, 5 + a
+    abreast = abreast_for(_live(drivers.parameters, size, len(trace.means) > 0), size)
+    for c in range(count):
+        for k in range(a):
+            entry = STATE * vehicles + k
+            abreast.mean[entry, c] = drivers.prior_mean[c, k]
+            abreast.covariance[entry, entry, c] = drivers.prior_var[k]
     filters = _Filters(
-        abreast_for(_live(drivers.parameters, size, len(trace.means) > 0), size),
+        abreast,
         np.zeros((count, vehicles), np.int64),
-        np.zeros((count, *one.places.shape), np.int64),
-        np.zeros((count, *one.root.shape)),
-        np.zeros((count, *one.points.shape), np.int64),
+        np.zeros((count, 2 * vehicles, most), np.int64),
+        np.zeros((count, vehicles * (3 + most), most)),
+        np.zeros((count, vehicles, 2), np.int64),
         drivers.parameters,
         drivers.prior_mean,
         np.zeros((count, vehicles), np.int64),
         np.zeros((count, vehicles), np.int64),
         np.zeros((count, vehicles), np.int64),
+        batch_for(count * points_of(vehicles, a), actions, scene.period_s, is_rough),
+        np.zeros((2, 2 * most)),
+        np.zeros(size),
+        np.zeros(size),
+        drivers.adapted,
+        drivers.prior_var,
     )
-    for c in range(count):
-        for k in range(a):
-            entry = STATE * vehicles + k
-            filters.abreast.mean[entry, c] = drivers.prior_mean[c, k]
-            filters.abreast.covariance[entry, entry, c] = drivers.prior_var[k]
-    batch = batch_for(count * points_of(vehicles, a), actions, scene.period_s, is_rough)
-    shared = _Shared(batch, one.chosen, one.slope, one.held_slope, adapted, drivers.prior_var)
-    _filter(observed, filters, shared, scene, predicted, trace)
+    _filter(observed, filters, scene, predicted, trace)
 
 
 @kernel

@@ -13,13 +13,14 @@ L. Ljung and T. Soderstrom, Theory and Practice of Recursive Identification (198
 import math
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from sugiyama_ros.arrays import Array
+from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.driver.parameters import NAMES, population
 from sugiyama_ros.effects.registry import EFFECTS, ROW, active, effect
 from sugiyama_ros.errors import InputError
@@ -27,7 +28,7 @@ from sugiyama_ros.filters.chain import Adaptation
 from sugiyama_ros.filters.first_look import ChainStep
 from sugiyama_ros.filters.kalman import Estimate
 from sugiyama_ros.filters.online import ADAPT, Learnt, OnlineFilter
-from sugiyama_ros.filters.sample import GROSS
+from sugiyama_ros.filters.update import GROSS
 from sugiyama_ros.laws.registry import LAWS, PAPERS, name_of
 from sugiyama_ros.road import Road
 
@@ -64,20 +65,17 @@ class Values:
         return _STEP * self.prior_std
 
     @property
-    def identified(self) -> tuple[str, ...]:
-        """Names of the values whose standard deviation is less than half of the prior's."""
-        std = np.sqrt(np.diag(self.covariance))
-        return tuple(name for name, a, b in zip(self.names, std, self.prior_std, strict=True) if a < 0.5 * b)
+    def is_identified(self) -> Mask:
+        """Whether the standard deviation of each value is less than half of the prior's, (K,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)) < 0.5 * self.prior_std)
 
-    def continued(self, known: "Values | None") -> "Values":
+    def go_on_from(self, known: "Values") -> None:
         """Go on from what was known before, except for values that were given anew."""
-        before = {} if known is None else dict(zip(known.names, known.prior_mean, strict=True))
+        before = dict(zip(known.names, known.prior_mean, strict=True))
         same = [name for name, given in zip(self.names, self.prior_mean, strict=True) if before.get(name) == given]
-        if known is not None and same:
-            here, there = [self.names.index(n) for n in same], [known.names.index(n) for n in same]
-            self.mean[here] = known.mean[there]
-            self.covariance[np.ix_(here, here)] = known.covariance[np.ix_(there, there)]
-        return self
+        here, there = [self.names.index(n) for n in same], [known.names.index(n) for n in same]
+        self.mean[here] = known.mean[there]
+        self.covariance[np.ix_(here, here)] = known.covariance[np.ix_(there, there)]
 
     def move(self, elapsed_s: float) -> Array:
         """Take in what was collected, and return by how much each value changes, (K,)."""
@@ -107,8 +105,8 @@ def check_names(names: Sequence[str]) -> None:
             )
 
 
-def values_of(row: Array, names: Sequence[str], std: Mapping[str, float] = MappingProxyType({})) -> Values | None:
-    """Return the priors of the parameters to be learnt, of the law and the effects that act; None if there are none.
+def values_of(row: Array, names: Sequence[str], std: Mapping[str, float] = MappingProxyType({})) -> Values:
+    """Return the priors of the parameters to be learnt, of the law and the effects that act.
 
     names: of the parameters; ``effects`` stands for the strengths of all effects, ``law`` for the law's parameters.
     Raises InputError.
@@ -120,13 +118,12 @@ def values_of(row: Array, names: Sequence[str], std: Mapping[str, float] = Mappi
     chosen += [f"{one}.{switch}" for one in effects for switch in effect(one).switches if STRENGTHS in names]
     acting = (*effects, own_law.name)
     chosen += [name for name in names if "." in name and name.split(".")[0] in acting and name not in chosen]
-    if not chosen:
-        return None
     places = [ROW.entries.index(name) for name in chosen]
     mean = row[places]
     size = np.array([std.get(name) or _size(name, value) for name, value in zip(chosen, mean.tolist(), strict=True)])
     k = len(chosen)
-    return Values(tuple(chosen), places, mean, size, mean.copy(), np.diag(size**2), np.zeros(k), np.zeros((k, k)))
+    square = np.zeros((k, k))
+    return Values(tuple(chosen), places, mean, size, mean.copy(), square + np.diag(size**2), np.zeros(k), square)
 
 
 def _size(name: str, value: float) -> float:
@@ -158,12 +155,12 @@ class Sensitivity:
     def begin(self) -> None:
         """Put the values into the filter, and let the copies begin from what the filter knows now."""
         self._kalman = self._filter.kalman
-        put_values(self._filter, self._values.places, self._values.mean)
+        _put_values(self._filter, self._values.places, self._values.mean)
         entries, self._copies = self._kalman.model.adapted_entries, []
         for k, step in enumerate(self._values.steps):
             copy = self._filter.plain_copy()
             copy.kalman.x[entries] += step * self.slopes[:, k]
-            put_values(copy, self._values.places, self._shifted(k))
+            _put_values(copy, self._values.places, self._shifted(k))
             self._copies.append(copy)
 
     def _shifted(self, k: int) -> Array:
@@ -190,7 +187,9 @@ class Sensitivity:
         if not (estimate.scored and all(one.scored for one in found)):
             return
         score = np.array([one.log_likelihood - estimate.log_likelihood for one in found]) / values.steps
-        of_mean = np.array([_short(one.innovation_m - estimate.innovation_m, self._filter) for one in found])
+        of_mean = self._filter.road.difference(
+            np.array([one.innovation_m for one in found]), np.array(estimate.innovation_m)
+        )
         of_var = np.array([one.innovation_var - estimate.innovation_var for one in found])
         of_mean, of_var = of_mean / values.steps, of_var / (values.steps * estimate.innovation_var)
         values.score += score
@@ -199,16 +198,18 @@ class Sensitivity:
     def move(self, moved: Array) -> None:
         """Go on with other values: the states of all filters change with them, by the slopes; moved: (K,)."""
         kalman, values = self._filter.kalman, self._values
+        if not self._copies:
+            return
         by_value = np.column_stack([copy.kalman.x - kalman.x for copy in self._copies]) / values.steps
         change = by_value @ moved
         if not np.all(np.isfinite(change)) or np.abs(change).max() > _LARGEST:
             self.begin()
             return
         kalman.x += change
-        put_values(self._filter, values.places, values.mean)
+        _put_values(self._filter, values.places, values.mean)
         for k, copy in enumerate(self._copies):
             copy.kalman.x += change
-            put_values(copy, values.places, self._shifted(k))
+            _put_values(copy, values.places, self._shifted(k))
 
     def saved(self) -> Any:
         """Return what the copies know now, for ``restore``."""
@@ -218,34 +219,20 @@ class Sensitivity:
         """Go back to what ``saved`` has returned; the filter and the values must be those of then."""
         self._kalman, self._copies, before, slopes = saved
         self.slopes = slopes.copy()
-        _note_values(self._filter, self._values.places, self._values.mean)
-        for k, (copy, one) in enumerate(zip(self._copies, before, strict=True)):
+        for copy, one in zip(self._copies, before, strict=True):
             copy.restore(one)
-            _note_values(copy, self._values.places, self._shifted(k))
 
 
-def _short(difference_m: float, filter_: OnlineFilter) -> float:
-    """Return a difference of positions the short way around the ring."""
-    lap = filter_.road.circumference_m
-    return difference_m - lap * round(difference_m / lap) if lap > 0.0 else difference_m
-
-
-def _note_values(filter_: OnlineFilter, places: list[int], values: Array) -> None:
-    """Put values into the model of a filter, whose arrays have them already.
+def _put_values(filter_: OnlineFilter, places: list[int], values: Array) -> None:
+    """Let a filter go on with other values (K,) of parameters of effects, at places (K,) of a driver's row.
 
     The drivers ahead keep theirs: a leader who is slower than the model's must not become a value of the driver.
     """
-    model = filter_.kalman.model
-    model.row[places] = model.rows[0, places] = values
-
-
-def put_values(filter_: OnlineFilter, places: list[int], values: Array) -> None:
-    """Let a filter go on with other values (K,) of parameters of effects, at places (K,) of a driver's row."""
-    _note_values(filter_, places, values)
-    kalman = filter_.kalman
-    entries, adapted = kalman.model.adapted_entries, kalman.model.adapted
-    kalman.rows[0, adapted] = np.exp(kalman.x[entries])
-    kalman.change(kalman.model)
+    kalman, model = filter_.kalman, filter_.kalman.model
+    row, rows = model.row.copy(), model.rows.copy()
+    row[places] = rows[0, places] = values
+    kalman.rows[0, model.adapted] = np.exp(kalman.x[model.adapted_entries])
+    kalman.change(replace(model, row=row, rows=rows))
 
 
 class EffectFilter(OnlineFilter):
@@ -268,9 +255,6 @@ class EffectFilter(OnlineFilter):
         check_names(names)
         self._wanted = tuple(names)
         self._given = ROW.with_effects(population() if parameters is None else parameters)
-        self._values = values_of(self._given, self._wanted)
-        self._beside: Sensitivity | None = None
-        self._since_s = 0.0
         super().__init__(period_s, road, parameters, adaptation=adaptation)
 
     def reset(self) -> None:
@@ -278,13 +262,11 @@ class EffectFilter(OnlineFilter):
         row = self._model.row.copy()
         row[len(NAMES) :] = self._given[len(NAMES) :]
         self._model, self._since_s = self._model_of(row), 0.0
-        self._values, self._beside = values_of(self._given, self._wanted), None
+        self._values = values_of(self._given, ())
         super().reset()
-        self._look_beside()
-
-    def _look_beside(self) -> None:
-        """Make the copies in which the values are larger."""
-        self._beside = None if self._values is None else Sensitivity(self, self._values)
+        self._values = values_of(self._given, self._wanted)
+        self._beside = Sensitivity(self, self._values)
+        self.prior = self.learnt
 
     def change(self, parameters: Array) -> None:
         """Go on with other effects and keep all that was learnt, except for values that are given anew.
@@ -295,49 +277,44 @@ class EffectFilter(OnlineFilter):
         known = self._values
         self._given[len(NAMES) :] = parameters[len(NAMES) :]
         self._values = values_of(self._given, self._wanted)
-        if self._values is not None:
-            self._values.continued(known)
-        self._look_beside()
-
-    @property
-    def parameter_covariance(self) -> Array:
-        """Covariance (WIDTH, WIDTH) of ``parameters``; zero for parameters that are not adapted."""
-        covariance = super().parameter_covariance
-        if self._values is not None and self._beside is not None:
-            own, places = self.kalman.model.adapted, self._values.places
-            by_value = self._beside.slopes * self.kalman.rows[0, own][:, None]
-            shared = by_value @ self._values.covariance
-            covariance[np.ix_(own, own)] += shared @ by_value.T
-            covariance[np.ix_(own, places)], covariance[np.ix_(places, own)] = shared, shared.T
-            covariance[np.ix_(places, places)] = self._values.covariance
-        return covariance
-
-    @property
-    def identified(self) -> tuple[str, ...]:
-        """Names of the adapted parameters whose standard deviation is less than half of the prior's."""
-        return super().identified + (self._values.identified if self._values is not None else ())
+        self._values.go_on_from(known)
+        self._beside = Sensitivity(self, self._values)
 
     @property
     def adapted(self) -> tuple[str, ...]:
         """Names of the parameters that are adapted."""
-        return super().adapted + (self._values.names if self._values is not None else ())
+        return super().adapted + self._values.names
+
+    @property
+    def is_identified(self) -> Mask:
+        """Whether the standard deviation of each adapted parameter is less than half of the prior's, (A,)."""
+        return np.concatenate([super().is_identified, self._values.is_identified])
 
     @property
     def learnt(self) -> Learnt:
         """All that is known of the driver's parameters, to go on from. Parameters of effects are no logarithms."""
         own, values = super().learnt, self._values
-        if values is None:
-            return own
-        size, k = len(own.names), len(values.names)
-        covariance = np.zeros((size + k, size + k))
-        covariance[:size, :size], covariance[size:, size:] = own.covariance, values.covariance
-        if self._beside is not None:
-            # the driver's own logarithms come last
-            first, slopes = size - len(self._beside.slopes), self._beside.slopes
-            covariance[first:size, first:size] += slopes @ values.covariance @ slopes.T
-            covariance[first:size, size:] = slopes @ values.covariance
-            covariance[size:, first:size] = covariance[first:size, size:].T
+        covariance = self._joined(own.covariance, np.ones(len(own.names)))
         return Learnt(own.names + values.names, np.concatenate([own.mean, values.mean]), covariance)
+
+    @property
+    def adapted_covariance(self) -> Array:
+        """Covariance (A, A) of the adapted parameters, in the order of ``adapted``."""
+        return self._joined(super().adapted_covariance, self.kalman.values)
+
+    def _joined(self, own: Array, scale: Array) -> Array:
+        """Join a covariance of the driver's own parameters, in units of ``scale``, and the covariance of the values."""
+        size, values = len(own), self._values
+        if not values.names:
+            return own
+        covariance = np.asarray(block_diag(own, values.covariance))
+        # the driver's own preferences come last
+        first = size - len(self._beside.slopes)
+        slopes = self._beside.slopes * scale[first:, None]
+        covariance[first:size, first:size] += slopes @ values.covariance @ slopes.T
+        covariance[first:size, size:] = slopes @ values.covariance
+        covariance[size:, first:size] = covariance[first:size, size:].T
+        return covariance
 
     def recall(self, learnt: Learnt) -> None:
         """Go on from what was learnt before, of the parameters that are adapted here."""
@@ -352,7 +329,7 @@ class EffectFilter(OnlineFilter):
 
     def _recall_values(self, learnt: Learnt) -> None:
         values = self._values
-        if values is None or self._beside is None or not set(values.names) <= set(learnt.names):
+        if not set(values.names) <= set(learnt.names):
             return
         at = [learnt.names.index(name) for name in values.names]
         values.mean[:], values.covariance[:] = learnt.mean[at], learnt.covariance[np.ix_(at, at)]
@@ -368,23 +345,20 @@ class EffectFilter(OnlineFilter):
     def saved(self) -> Any:
         """Return all that the filter knows now, for ``restore``."""
         values, beside = self._values, self._beside
-        own = None if beside is None else (deepcopy(values.__dict__), beside.saved())
-        return super().saved(), values, beside, own, self._since_s
+        return super().saved(), values, beside, deepcopy(values.__dict__), beside.saved(), self._since_s
 
     def restore(self, saved: Any) -> None:
         """Go back to what ``saved`` has returned. ``change`` must not have been called since."""
-        plain, self._values, self._beside, own, self._since_s = saved
+        plain, self._values, self._beside, values, copies, self._since_s = saved
         super().restore(plain)
-        if self._values is not None and self._beside is not None:
-            self._values.__dict__.update(deepcopy(own[0]))
-            self._beside.restore(own[1])
+        self._values.__dict__.update(deepcopy(values))
+        self._beside.restore(copies)
 
     def _step(self, sample: ChainStep) -> Estimate:
         estimate = super()._step(sample)
-        if self._values is not None and self._beside is not None:
-            self._beside.take_in(estimate, sample)
-            self._since_s += self.period_s if sample.elapsed_s is None else sample.elapsed_s
-            if self._since_s >= EVERY_S:
-                self._beside.move(self._values.move(self._since_s))
-                self._since_s = 0.0
+        self._beside.take_in(estimate, sample)
+        self._since_s += self.period_s if sample.elapsed_s is None else sample.elapsed_s
+        if self._since_s >= EVERY_S:
+            self._beside.move(self._values.move(self._since_s))
+            self._since_s = 0.0
         return estimate

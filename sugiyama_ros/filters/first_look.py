@@ -41,15 +41,15 @@ _REST = 0.1
 _SPEED_OVER_S = 1.0
 #: Variance of a third difference, in variances of white noise, of the position noise and of the speed noise (times the
 #: squared period): sums of squares of the coefficients of the third, the second and the first difference.
-WHITE, OF_POSITION, OF_SPEED = 20.0, 6.0, 2.0
+WHITE, _OF_POSITION, _OF_SPEED = (float(math.comb(2 * k, k)) for k in (3, 2, 1))
 #: Smallest std of third differences [m]: less is the rounding of the numbers.
 LEAST = 1e-5
 # A speed is far above the desired speed by this factor; the desired speed is then slightly above it.
 _FAR_ABOVE, _SLIGHTLY_ABOVE = 1.5, 1.1
 #: Scale of the normal distribution over the median of its absolute values.
 PER_MEDIAN = 1.4826
-#: Times between samples [s] that differ from whole periods by less than this count as whole periods.
-EXACT_S = 1e-6
+# Times between samples [s] that differ from whole periods by less than this count as whole periods.
+_EXACT_S = 1e-6
 
 
 def steps_between(elapsed_s: float, period_s: float) -> tuple[int, float]:
@@ -58,7 +58,7 @@ def steps_between(elapsed_s: float, period_s: float) -> tuple[int, float]:
     elapsed_s: time [s] from one sample to the next, above 0; period_s: period of the model [s].
     """
     steps = max(1, round(elapsed_s / period_s))
-    exact = abs(elapsed_s - steps * period_s) < EXACT_S
+    exact = abs(elapsed_s - steps * period_s) < _EXACT_S
     return steps, 1.0 if exact else elapsed_s / (steps * period_s)
 
 
@@ -73,7 +73,7 @@ def roughness_of_noises(row: Array, period_s: float) -> float:
     row: (P,), the driver's parameters at the reference period; period_s: time between two samples [s].
     """
     there = at_period(row, period_s)
-    return math.sqrt(OF_POSITION * float(there[SIGMA_X]) ** 2 + OF_SPEED * (period_s * float(there[SIGMA_V])) ** 2)
+    return math.sqrt(_OF_POSITION * float(there[SIGMA_X]) ** 2 + _OF_SPEED * (period_s * float(there[SIGMA_V])) ** 2)
 
 
 def with_smooth_noises(row: Array, white_m: float, rest_m: float, period_s: float) -> Array:
@@ -85,8 +85,8 @@ def with_smooth_noises(row: Array, white_m: float, rest_m: float, period_s: floa
     """
     start, scale = row.copy(), math.sqrt(period_s / REFERENCE_PERIOD_S)
     start[SIGMA_NU] = white_m / math.sqrt(WHITE)
-    start[SIGMA_X] = rest_m / math.sqrt(OF_POSITION) / scale
-    start[SIGMA_V] = min(rest_m / math.sqrt(OF_SPEED) / period_s / scale, row[SIGMA_V])
+    start[SIGMA_X] = rest_m / math.sqrt(_OF_POSITION) / scale
+    start[SIGMA_V] = min(rest_m / math.sqrt(_OF_SPEED) / period_s / scale, row[SIGMA_V])
     return start
 
 
@@ -143,7 +143,9 @@ class FirstLook:
         if elapsed_s is not None and steps_between(elapsed_s, self.period_s) != (1, 1.0):
             self._row.clear()
         row = self._row
-        row.append(row[-1] + self._way(row[-1], position_m) if row else position_m)
+        row.append(
+            row[-1] + float(self.road.difference(np.array(position_m), np.array(row[-1]))) if row else position_m
+        )
         if len(row) > self._most:
             del row[0]
         if len(row) > 3:
@@ -185,8 +187,3 @@ class FirstLook:
         """Speed [m/s] over the latest positions."""
         steps = len(self._row) - 1
         return (self._row[-1] - self._row[0]) / (steps * self.period_s) if steps > 0 else 0.0
-
-    def _way(self, before_m: float, position_m: float) -> float:
-        """Way [m] from one position to the next, the shorter one around a ring."""
-        way, lap = position_m - before_m, self.road.circumference_m
-        return way - lap * round(way / lap) if lap > 0.0 else way

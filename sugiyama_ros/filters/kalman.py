@@ -1,4 +1,4 @@
-"""The engine of the online filter, which works out a step in one call of compiled code."""
+"""The engines of the online filter: a step in one call of compiled code, or with filterpy's predict and update."""
 
 import math
 import struct
@@ -12,13 +12,25 @@ from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.batch import clear, grid_for
 from sugiyama_ros.driver.parameters import NAMES, UTILITY, at_period, population
 from sugiyama_ros.driver.utility import ACTIONS
-from sugiyama_ros.effects.effect import MEASUREMENT
 from sugiyama_ros.effects.registry import ROW, active, effect, index_of
 from sugiyama_ros.filters.alarm import onsets_for
 from sugiyama_ros.filters.chain import Adaptation, adaptation_of, chain_parameters
 from sugiyama_ros.filters.noise import NOISES, Learning, Noises
-from sugiyama_ros.filters.online_kernel import linearise_again, step
-from sugiyama_ros.filters.online_memory import HEADER, RESULTS, Sizes, memory_for, online_arrays
+from sugiyama_ros.filters.online_step import (
+    HEADER,
+    RESULTS,
+    TAKEN,
+    Sizes,
+    compare,
+    finish,
+    go_on,
+    linearise_again,
+    memory_for,
+    online_arrays,
+    step,
+    teach,
+    weigh,
+)
 from sugiyama_ros.filters.state import STATE, Scene, scene_at
 
 #: Position [m], speed [m/s] and length [m] of the vehicle behind where there is none.
@@ -32,7 +44,7 @@ class ChainModel:
     row: (WIDTH,) of the driver at the reference period; rows: (M, WIDTH) of all drivers at the period of the samples;
     places: (A,) of the adapted parameters in UTILITY; prior_mean, prior_var: (A,) of their logarithms; noise_shift:
     (2,) of the logarithms of NOISES from the reference period to the period of the samples; sees_rear: whether an
-    effect depends on the vehicle behind; measured_otherwise: whether an effect of the measurement is on.
+    effect depends on the vehicle behind.
     """
 
     row: Array
@@ -43,12 +55,6 @@ class ChainModel:
     noise_shift: Array
     scene: Scene
     sees_rear: bool
-    measured_otherwise: bool
-
-    @property
-    def vehicles(self) -> int:
-        """Number M of vehicles."""
-        return len(self.rows)
 
     @property
     def adapted(self) -> list[int]:
@@ -58,7 +64,8 @@ class ChainModel:
     @property
     def adapted_entries(self) -> slice:
         """Entries of the state that are logarithms of adapted parameters."""
-        return slice(STATE * self.vehicles, STATE * self.vehicles + len(self.places))
+        first = STATE * len(self.rows)
+        return slice(first, first + len(self.places))
 
 
 def chain_model(
@@ -86,7 +93,6 @@ def chain_model(
         noise_shift=np.log(rows[0, NOISES] / row[NOISES]),
         scene=scene_at(period_s, circumference_m, adaptation.relaxation_s),
         sees_rear=any(effect(name).sees_rear for name in names) and vehicles > 1,
-        measured_otherwise=any(effect(name).stage == MEASUREMENT for name in names),
     )
 
 
@@ -120,7 +126,9 @@ class OnlineKalman:
     memory: all that the filter knows; compiled code changes it; arrays: the arrays in it, of which some are named here
     too: x, P: mean (4 M + A,) and covariance (4 M + A, 4 M + A) of the state; next_mean: predicted mean at the next
     sample, (4 M + A,); rows: rows of all drivers with what is learnt, (M, WIDTH); change_of_style: name of the
-    parameter that has jumped at the latest sample, and its factor; none if none has.
+    parameter that has jumped at the latest sample, and its factor; none if none has; places, names: (A,) places in a
+    driver's row and names of what is learnt: of the noises, and then of the adapted parameters; prior_var: (A,) of
+    their logarithms before the first sample.
     """
 
     def __init__(self, model: ChainModel, learning: Learning | None) -> None:
@@ -129,7 +137,7 @@ class OnlineKalman:
         period, adapted = model.scene.period_s, len(model.places)
         models = 0 if learning is None else len(learning.relaxations_s)
         columns = onsets_for(period)[1] * adapted
-        self._use(memory_for(Sizes(model.vehicles, adapted, models, columns, len(model.row))))
+        self._use(memory_for(Sizes(len(model.rows), adapted, models, columns, len(model.row))))
         arrays = self.arrays
         arrays.book.identity[:] = -1
         arrays.sample.when[1] = 1.0
@@ -159,7 +167,7 @@ class OnlineKalman:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what a copy needs: its arrays lie in a memory of their own."""
-        names = ("learning", "change_of_style", "model", "memory")
+        names = ("learning", "change_of_style", "model", "memory", "places", "names", "prior_var", "_scale")
         return {name: self.__dict__[name] for name in names}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -170,6 +178,22 @@ class OnlineKalman:
     def noises(self) -> Noises | None:
         """The driver's noises, None if they are not learnt."""
         return None if self.learning is None else self.arrays.noises
+
+    @property
+    def values(self) -> Array:
+        """Parameters (A,) that are learnt, at the reference period."""
+        return np.asarray(self.rows[0, self.places] * self._scale)
+
+    @property
+    def learnt(self) -> tuple[Array, Array]:
+        """Logarithms (A,) of what is learnt, at the reference period, and their covariance (A, A)."""
+        entries = self.model.adapted_entries
+        mean, covariance = self.x[entries].copy(), self.P[entries, entries].copy()
+        if self.noises is None:
+            return mean, covariance
+        first, both = len(NOISES), np.zeros((len(NOISES) + len(mean), len(NOISES) + len(mean)))
+        both[:first, :first], both[first:, first:] = self.noises.covariance, covariance
+        return np.concatenate([self.noises.mean - self.model.noise_shift, mean]), both
 
     def change(self, model: ChainModel) -> None:
         """Go on with another model of the same chain; the driver's own parameters stay as they are known."""
@@ -182,13 +206,13 @@ class OnlineKalman:
         """Return the speed [m/s] of vehicle number m of the chain; 0 if it is another vehicle, or not known."""
         return float(self.x[STATE * m + 1]) if self.arrays.book.identity[m] == vehicle else 0.0
 
-    def saved(self) -> tuple[Array, tuple[str, float] | None]:
+    def saved(self) -> Any:
         """Return all that the filter knows now, for ``restore``."""
-        return self.memory.copy(), self.change_of_style
+        return self.memory.copy(), self.change_of_style, self.model
 
-    def restore(self, saved: tuple[Array, tuple[str, float] | None]) -> None:
-        """Go back to what ``saved`` has returned, with the same model."""
-        self.memory[:], self.change_of_style = saved
+    def restore(self, saved: Any) -> None:
+        """Go back to what ``saved`` has returned."""
+        self.memory[:], self.change_of_style, self.model = saved
 
     def _put(self, model: ChainModel) -> None:
         """Put a model's numbers into the arrays."""
@@ -196,8 +220,14 @@ class OnlineKalman:
         drivers, batch = self.arrays.step.drivers, self.arrays.step.batch
         drivers.parameters[:], drivers.adapted[:] = model.rows, model.places
         drivers.prior_mean[:], drivers.prior_var[:] = model.prior_mean, model.prior_var
+        noises = NOISES if self.learning is not None else []
+        noise_std = self.learning.prior_std if self.learning is not None else ()
+        self.places = np.array([*noises, *model.adapted], np.int64)
+        self.names = tuple(NAMES[k] for k in self.places)
+        self.prior_var = np.concatenate([np.square(noise_std), model.prior_var])
+        self._scale = model.row[self.places] / np.concatenate([model.rows[0, noises], model.row[model.adapted]])
         grid = grid_for(ACTIONS, model.scene.period_s)
-        self.arrays.settings[:] = *model.scene, grid.braking
+        self.arrays.settings[:7] = *model.scene, grid.braking
         batch.grid.actions[:], batch.grid.backward[:] = grid.actions, grid.backward
 
     def step(
@@ -224,3 +254,39 @@ class OnlineKalman:
     def _step(self) -> None:
         """Carry out the step in the memory."""
         step(self.memory)
+
+
+class FilterpyKalman(OnlineKalman):
+    """An `OnlineKalman` whose state is predicted and updated by filterpy: slow, and meant to be read."""
+
+    def _step(self) -> None:
+        """Carry out the step in the memory, as ``online_step.step``."""
+        if self.arrays.book.settled[0] > 0:
+            go_on(self.memory)
+            self._predict()
+        compare(self.memory)
+        for m in np.flatnonzero(self.arrays.book.part == TAKEN).tolist():
+            weigh(self.memory, m)
+            self._update(m)
+            teach(self.memory, m)
+        finish(self.memory)
+
+    def _predict(self) -> None:
+        """Take the next mean, which is no F x, and F P F' + Q."""
+        from filterpy.kalman import predict  # takes long to import
+
+        out = self.arrays.step.out
+        _, self.P[:] = predict(self.x, self.P, out.jacobian, out.noise)
+        self.x[:] = self.next_mean
+
+    def _update(self, m: int) -> None:
+        """Take in the position of vehicle m. With outliers the update is a mixture of two, and shrinks P otherwise."""
+        from filterpy.kalman import update
+
+        y, slope, weight, shrink, _ = self.arrays.scratch.weighed.tolist()
+        gain, x = self.arrays.scratch.gain, STATE * m
+        measures = np.zeros((1, len(self.x)))
+        measures[0, x] = slope
+        noise_var = 1.0 / weight - slope * gain[x]
+        self.x[:], covariance = update(self.x, self.P, measures @ self.x + y, noise_var, measures)
+        self.P[:] = covariance - (shrink - weight) * np.outer(gain, gain)

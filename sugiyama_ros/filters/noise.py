@@ -16,8 +16,8 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import SIGMA_A, SIGMA_NU
+from sugiyama_ros.filters.predict import transform
 from sugiyama_ros.filters.state import STATE, Linearised
-from sugiyama_ros.filters.step import transform
 from sugiyama_ros.jit import kernel
 
 #: The noises that are learnt, as places in a driver's row.
@@ -26,7 +26,7 @@ NOISES = [SIGMA_NU, SIGMA_A]
 _LARGEST = 16.0
 # Step of a logarithm at most, at one sample.
 _STEP = 0.1
-_NU, _A = 0, 1
+_NU, _A = range(len(NOISES))
 # Place of the driver's own acceleration noise in the state.
 _OWN_NOISE = 2
 

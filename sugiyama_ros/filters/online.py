@@ -5,19 +5,19 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import compress
 from typing import Any, Literal
 
 import numpy as np
-from scipy.linalg import block_diag
 
-from sugiyama_ros.arrays import Array
+from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.driver.parameters import NAMES, V_STAR, check, population
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN, NOT_ADAPTED, Adaptation
 from sugiyama_ros.filters.first_look import NOBODY as NOBODY
 from sugiyama_ros.filters.first_look import SMOOTHED, ChainStep, FirstLook, steps_between
-from sugiyama_ros.filters.kalman import NO_REAR, ChainModel, OnlineKalman, chain_model
+from sugiyama_ros.filters.kalman import NO_REAR, ChainModel, FilterpyKalman, OnlineKalman, chain_model
 from sugiyama_ros.filters.kalman import Estimate as Estimate
 from sugiyama_ros.filters.noise import NOISES, Learning
 from sugiyama_ros.road import Road
@@ -27,9 +27,12 @@ from sugiyama_ros.road import Road
 ADAPT = Adaptation(names=("v_star", "kappa_v"), prior_std=(0.1, 0.4), relaxation_s=6000.0)
 #: Learning of the estimator nodes: measurement noise and acceleration noise.
 LEARN = Learning()
-#: What is learnt where positions are smooth: road and instrument are others than those of the measured drivers.
-ADAPT_ELSEWHERE = Adaptation(names=("v_star", "kappa_v"), prior_std=(0.3, 0.4), relaxation_s=6000.0)
-LEARN_ELSEWHERE = Learning(prior_std=(1.0, 0.7))
+# What is learnt where positions are smooth: road and instrument are others than those of the measured drivers.
+_ADAPT_ELSEWHERE = Adaptation(names=("v_star", "kappa_v"), prior_std=(0.3, 0.4), relaxation_s=6000.0)
+_LEARN_ELSEWHERE = Learning(prior_std=(1.0, 0.7))
+
+
+_ENGINES = {"compiled": OnlineKalman, "filterpy": FilterpyKalman}
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,19 +98,11 @@ class OnlineFilter:
 
     def reset(self) -> None:
         """Forget all samples and everything learnt."""
-        self.kalman = self._engine_of(self._model)
+        self.kalman = _ENGINES[self.engine](self._model, self._start.learning)
         self._behind = self._follower() if self._model.sees_rear else None
         self.prior = self.learnt
         if self._look is not None:
             self._look, self._recalled = FirstLook(self.road, self.period_s), None
-
-    def _engine_of(self, model: ChainModel) -> OnlineKalman:
-        if self.engine == "compiled":
-            return OnlineKalman(model, self._start.learning)
-        # filterpy takes long to import
-        from sugiyama_ros.filters.readable import ReadableKalman
-
-        return ReadableKalman(model, self._start.learning)
 
     def change(self, parameters: Array) -> None:
         """Go on with other effects and keep all that was learnt. Raises InputError."""
@@ -135,48 +130,44 @@ class OnlineFilter:
         return self.kalman.change_of_style
 
     @property
+    def adapted(self) -> tuple[str, ...]:
+        """Names of the parameters that are adapted, noises first."""
+        return self.kalman.names
+
+    @property
     def parameters(self) -> Array:
         """The driver's row (WIDTH,) as known now, at the reference period."""
-        model, rows = self.kalman.model, self.kalman.rows
-        known = model.row.copy()
-        for k in model.adapted:
-            known[k] = rows[0, k]
-        if self.kalman.noises is not None:
-            known[NOISES] *= rows[0, NOISES] / model.rows[0, NOISES]
+        known: Array = self.kalman.model.row.copy()
+        known[self.kalman.places] = self.kalman.values
         return known
-
-    @property
-    def parameter_covariance(self) -> Array:
-        """Covariance (WIDTH, WIDTH) of ``parameters``; zero for parameters that are not adapted."""
-        covariance, parameters, kalman = np.zeros((ROW.width, ROW.width)), self.parameters, self.kalman
-        places, entries = kalman.model.adapted, kalman.model.adapted_entries
-        covariance[np.ix_(places, places)] = kalman.P[entries, entries]
-        if kalman.noises is not None:
-            covariance[np.ix_(NOISES, NOISES)] = kalman.noises.covariance
-        return covariance * np.outer(parameters, parameters)
-
-    @property
-    def identified(self) -> tuple[str, ...]:
-        """Names of the adapted parameters whose standard deviation is less than half of the prior's."""
-        noise_std = self.kalman.learning.prior_std if self.kalman.learning else ()
-        before = np.concatenate([noise_std, np.sqrt(self.kalman.model.prior_var)])
-        now = np.sqrt(np.diag(self._own_learnt.covariance))
-        return tuple(name for name, a, b in zip(self._own_names, now, before, strict=True) if a < 0.5 * b)
 
     @property
     def learnt(self) -> Learnt:
         """All that is known of the driver's parameters, to go on from."""
-        return self._own_learnt
+        return Learnt(self.kalman.names, *self.kalman.learnt)
 
     @property
-    def _own_learnt(self) -> Learnt:
-        """All that the Kalman filter knows of the driver's parameters."""
-        kalman, entries = self.kalman, self.kalman.model.adapted_entries
-        parts = [(kalman.x[entries], kalman.P[entries, entries])]
-        if kalman.noises is not None:
-            parts.insert(0, (kalman.noises.mean - kalman.model.noise_shift, kalman.noises.covariance))
-        means, covariances = zip(*parts, strict=True)
-        return Learnt(self._own_names, np.concatenate(means), block_diag(*covariances))
+    def adapted_covariance(self) -> Array:
+        """Covariance (A, A) of the adapted parameters, in the order of ``adapted``."""
+        values = self.kalman.values
+        return np.asarray(self.kalman.learnt[1] * values * values[:, None])
+
+    @property
+    def parameter_covariance(self) -> Array:
+        """Covariance (WIDTH, WIDTH) of ``parameters``; zero for parameters that are not adapted."""
+        covariance, at = np.zeros((ROW.width, ROW.width)), [ROW.entries.index(name) for name in self.adapted]
+        covariance[np.ix_(at, at)] = self.adapted_covariance
+        return covariance
+
+    @property
+    def is_identified(self) -> Mask:
+        """Whether the standard deviation of each adapted parameter is less than half of the prior's, (A,)."""
+        return np.asarray(self.kalman.learnt[1].diagonal() < 0.25 * self.kalman.prior_var)
+
+    @property
+    def identified(self) -> tuple[str, ...]:
+        """Names of the adapted parameters whose standard deviation is less than half of the prior's."""
+        return tuple(compress(self.adapted, self.is_identified.tolist()))
 
     def plain_copy(self) -> "OnlineFilter":
         """Return a filter that knows the same, without a first look and without what a subclass adds."""
@@ -190,7 +181,7 @@ class OnlineFilter:
     @property
     def is_smooth(self) -> bool:
         """Whether the filter has started anew, because positions are smoother than its noises were."""
-        return self._start.learning is LEARN_ELSEWHERE
+        return self._start.learning is _LEARN_ELSEWHERE
 
     def saved(self) -> Any:
         """Return all that the filter knows now, for ``restore``."""
@@ -234,16 +225,6 @@ class OnlineFilter:
             kalman.P[entries, :], kalman.P[:, entries] = 0.0, 0.0
             kalman.P[entries, entries] = learnt.covariance[np.ix_(own, own)]
             kalman.rows[0, model.adapted] = np.exp(learnt.mean[own])
-
-    @property
-    def adapted(self) -> tuple[str, ...]:
-        """Names of the parameters that are adapted, noises first."""
-        return self._own_names
-
-    @property
-    def _own_names(self) -> tuple[str, ...]:
-        noises = NOISES if self.kalman.learning is not None else ()
-        return tuple(NAMES[k] for k in (*noises, *self.kalman.model.adapted))
 
     def speed_of(self, m: int, vehicle: int) -> float:
         """Return the speed [m/s] of vehicle number m of the chain as known now; 0 if it is not this vehicle yet."""
@@ -297,8 +278,8 @@ class OnlineFilter:
             return None
         ahead = ROW.with_effects(population() if self._start.ahead is None else self._start.ahead)
         ahead[[*SMOOTHED, V_STAR]] = row[[*SMOOTHED, V_STAR]]
-        wanted = ADAPT_ELSEWHERE if self._start.adaptation == ADAPT else self._start.adaptation
-        self._start = _Outset(ahead, wanted, LEARN_ELSEWHERE)
+        wanted = _ADAPT_ELSEWHERE if self._start.adaptation == ADAPT else self._start.adaptation
+        self._start = _Outset(ahead, wanted, _LEARN_ELSEWHERE)
         self._model = self._model_of(row)
         self.reset()
         if self._recalled is not None:

@@ -30,8 +30,8 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.jit import kernel
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
-#: Samples without a perceived state at the start and at the end: the smoothed speed reaches from t - 2 to t + 3.
-MARGIN_BEFORE, MARGIN_AFTER = 2, 3
+# Samples without a perceived state at the start and at the end: the smoothed speed reaches from t - 2 to t + 3.
+_MARGIN_BEFORE, _MARGIN_AFTER = 2, 3
 #: First innovations, which are not scored: the filter settles.
 UNSCORED = 3
 # Variances at the start of position [m^2], smoothed speed [m^2/s^2] and acceleration [m^2/s^4].
@@ -88,8 +88,8 @@ def perceive(trajectories: Trajectories, driver: int) -> Perceived:
         raise InputError(
             f"{where}: a sample is missing; the paper's smoothing cannot skip it, the causal formulation can"
         )
-    kept = slice(MARGIN_BEFORE, len(pair) - MARGIN_AFTER)
-    if len(pair) - MARGIN_BEFORE - MARGIN_AFTER <= UNSCORED:
+    kept = slice(_MARGIN_BEFORE, len(pair) - _MARGIN_AFTER)
+    if len(pair) - _MARGIN_BEFORE - _MARGIN_AFTER <= UNSCORED:
         raise InputError(f"{where}: {len(pair)} samples are too few for the paper's smoothing")
     once, speed = smooth(pair, 1)[kept], smoothed_speed(pair, 2, trajectories.period_s)[kept]
     gap: Array = np.full(len(once), np.inf)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.effects.control import is_contaminated
 from sugiyama_ros.filters.causal import ChainJob
-from sugiyama_ros.filters.sample import weigh_samples
+from sugiyama_ros.filters.update import weigh_samples
 from sugiyama_ros.fit.model import Model, reach
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import DriverDensity, PointwiseDensity, evaluate, jobs_of, predict_jobs, together

@@ -14,12 +14,11 @@ from sugiyama_msgs.msg import DriverArray, DriverParameters, DriverType, Innovat
 from sugiyama_msgs.msg import Road as RoadMessage
 from sugiyama_msgs.srv import AddEffect, RemoveEffect
 
-from sugiyama_ros.arrays import Array
+from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.driver.parameters import NAMES, V_STAR
 from sugiyama_ros.effects.registry import ROW, active, switched_on
 from sugiyama_ros.errors import InputError, SugiyamaError
 from sugiyama_ros.filters.online import Estimate, OnlineFilter, warm_up
-from sugiyama_ros.filters.shown import ShownParameters, shown_of
 from sugiyama_ros.fit.classes import DriverTypes
 from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.formats.truth import namespace
@@ -468,7 +467,7 @@ class _Topics:
 
     def __init__(self, node: PacedNode, vehicle: int, types: DriverTypes | None, space: str, told: Told) -> None:
         self._node, self._vehicle, self._types, self._space, self.told = node, vehicle, types, space, told
-        self._shown: ShownParameters | None = None
+        self._filter: OnlineFilter | None = None
         self._stamp_ns: int | None = None
         # the largest speed [m/s] so far
         self._fastest = 0.0
@@ -491,9 +490,9 @@ class _Topics:
 
     def note(self) -> None:
         """Note the parameters as they were last published."""
-        if self._shown is not None:
-            self.told.value = dict(zip(self._names.shown, self._shown.value.tolist(), strict=True))
-            self.told.identified = tuple(compress(self._names.shown, self._shown.identified.tolist()))
+        if self._filter is not None:
+            self.told.value = dict(zip(self._names.shown, self._value.tolist(), strict=True))
+            self.told.identified = tuple(compress(self._names.shown, self._of_all()[1].tolist()))
 
     def show(self, row: Array, filter_: OnlineFilter) -> None:
         """Publish a filter from now on: the driver's parameters, and those of the law and the effects in a row."""
@@ -501,9 +500,14 @@ class _Topics:
         blocks = [law, *(ROW.places[name] for name in active(row))]
         shown = [*range(len(NAMES)), *(k for block in blocks for k in range(ROW.width)[block])]
         names = [ROW.entries[k] for k in shown]
-        self._filter, self._shown = filter_, shown_of(filter_, shown)
+        self._shown, self._adapted = (
+            np.array(shown),
+            np.array([names.index(name) for name in filter_.adapted], np.int64),
+        )
         self._v_star = filter_.adapted.index("v_star") if "v_star" in filter_.adapted else None
         self._names = ParameterNames(tuple(names), filter_.adapted)
+        self._filter = filter_
+        self._read(filter_)
         self.restart()
 
     def restart(self) -> None:
@@ -514,12 +518,12 @@ class _Topics:
         self, stamp_ns: int, estimate: Estimate, change: tuple[str, float] | None, is_last: bool
     ) -> KnownDriver | None:
         """Publish the estimate, a change of style (name and factor), and once a second of the data the parameters."""
-        send, vehicle, shown, told, known = self._node.send, self._vehicle, self._shown, self.told, None
-        assert shown is not None, "a driver who is published has a filter"
+        send, vehicle, filter_, told, known = self._node.send, self._vehicle, self._filter, self.told, None
+        assert filter_ is not None, "a driver who is published has a filter"
         self._fastest = max(self._fastest, estimate.speed)
         is_due = is_last or self._stamp_ns is None or stamp_ns - self._stamp_ns >= _PARAMETERS_EVERY_NS
         if is_due or not self._space:
-            self._read(shown)
+            self._read(filter_)
         if estimate.scored:
             told.scored += 1
             told.squares_m2 += estimate.innovation_m**2
@@ -528,8 +532,7 @@ class _Topics:
             send(self._to_state, cdr_messages.state(stamp_ns, vehicle, estimate))
             send(self._to_innovation, cdr_messages.innovation(stamp_ns, vehicle, estimate))
         else:
-            value, covariance, identified = shown.value.copy(), shown.adapted_covariance, shown.adapted_identified
-            known = KnownDriver(vehicle, estimate, self._names, value, covariance, identified)
+            known = KnownDriver(vehicle, estimate, self._names, self._value, self._covariance, self._identified)
         if change is not None:
             message = StyleChange(vehicle=vehicle, name=change[0], factor=change[1])
             message.header.stamp, message.header.frame_id = time_message(stamp_ns), FRAME
@@ -537,20 +540,29 @@ class _Topics:
         if is_due:
             self._stamp_ns = stamp_ns
             if self._space:
-                numbers = shown.value, shown.covariance, shown.identified
+                numbers = self._value, *self._of_all()
                 send(self._to_parameters, cdr_messages.parameters(stamp_ns, vehicle, self._names, *numbers))
             if self._types is not None:
-                probability = self._types.probabilities(self._filter.learnt, self._filter.prior).tolist()
+                probability = self._types.probabilities(filter_.learnt, filter_.prior).tolist()
                 of_type = DriverType(vehicle=vehicle, probability=probability)
                 of_type.header.stamp, of_type.header.frame_id = time_message(stamp_ns), FRAME
                 send(self._to_type[0], of_type)
         return known
 
-    def _read(self, shown: ShownParameters) -> None:
+    def _read(self, filter_: OnlineFilter) -> None:
         """Read what the filter knows. A desired speed beyond what these speeds can tell is not identified."""
-        shown.read()
-        if self._v_star is not None and shown.value[V_STAR] > largest_v_star(self._fastest):
-            shown.adapted_identified[self._v_star] = False
+        self._value, self._covariance = filter_.parameters[self._shown], filter_.adapted_covariance
+        self._identified = filter_.is_identified
+        if self._v_star is not None and self._value[V_STAR] > largest_v_star(self._fastest):
+            self._identified[self._v_star] = False
+
+    def _of_all(self) -> tuple[Array, Mask]:
+        """Return the covariance of all that is shown, 0 where it is not adapted, and what of it is identified."""
+        count = len(self._shown)
+        covariance, identified = np.zeros((count, count)), np.zeros(count, np.bool_)
+        covariance[np.ix_(self._adapted, self._adapted)] = self._covariance
+        identified[self._adapted] = self._identified
+        return covariance, identified
 
 
 def _shared_topics(types: DriverTypes | None) -> list[tuple[type, str]]:

@@ -23,13 +23,12 @@ from sugiyama_ros.driver.parameters import (
     population,
 )
 from sugiyama_ros.driver.utility import ACTIONS
-from sugiyama_ros.filters.causal import SETTLING
 from sugiyama_ros.filters.chain import CHAIN, Adaptation, chain_parameters
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import ADAPT, Learnt, OnlineFilter
-from sugiyama_ros.filters.sample import start_vehicle
-from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Moment, State, scene_at, step_for
-from sugiyama_ros.filters.step import linearise
+from sugiyama_ros.filters.predict import linearise_chain
+from sugiyama_ros.filters.state import MOVING, STATE, Drivers, State, scene_at, step_for
+from sugiyama_ros.filters.update import SETTLING, start_vehicle
 from sugiyama_ros.road import Road
 from sugiyama_ros.studies.rings import CARS, jams
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
@@ -110,7 +109,7 @@ class _Unscented:
         self._known = np.zeros(CHAIN, np.int64)
         state = State(np.zeros(size), np.zeros((size, size)), self._known)
         drivers = Drivers(self._rows, self._places, self._prior_mean, self._prior_var)
-        self._step = step_for(state, drivers, Moment(np.zeros(CHAIN), np.full(3, np.nan), 0.0), self._scene, ACTIONS)
+        self._step = step_for(state, drivers, np.zeros(CHAIN), self._scene, ACTIONS)
 
     @property
     def logs(self) -> Array:
@@ -138,8 +137,8 @@ class _Unscented:
         """Predict a state that is known for certain: its mean after one period, and the process noise."""
         step = self._step
         step.state.mean[:], step.state.covariance[:] = x, _SHARP**2 * np.eye(len(x))
-        step.moment.length[:] = self._length
-        linearise(step)
+        step.length[:] = self._length
+        linearise_chain(step)
         return step.out.next_mean.copy(), step.out.noise.copy()
 
 

@@ -10,14 +10,13 @@ from sugiyama_ros.filters.abreast import (
     SLOPE,
     STEP,
     abreast_for,
-    begin_period,
     linearised_of,
     predict,
     share_columns,
-    take_in,
+    update,
 )
+from sugiyama_ros.filters.predict import predict as predict_one
 from sugiyama_ros.filters.state import STATE, State
-from sugiyama_ros.filters.step import predict as predict_one
 
 _SIZE = 2 * STATE + 1
 # the held accelerations do not matter
@@ -28,7 +27,6 @@ _LIVE = np.array([0, 1, 2, 4, 5, 6, 8])
 def abreast(rng):
     """Filters with random states, each with other entries of F that may differ from 0."""
     filters = abreast_for(_LIVE, _SIZE)
-    begin_period(filters)
     dead = np.setdiff1d(np.arange(_SIZE), _LIVE)
     for c in range(ABREAST):
         root = rng.normal(size=(_SIZE, _SIZE))
@@ -80,7 +78,7 @@ def test_update_is_the_update_of_a_kalman_filter(abreast, rng):
     # one filter gets no sample
     abreast.sample[:, 2] = 0.0
     expected[2] = abreast.mean[:, 2].copy(), abreast.covariance[:, :, 2].copy()
-    take_in(entry, abreast)
+    update(entry, abreast)
     live = np.ix_(_LIVE, _LIVE)
     for c, (mean, covariance) in enumerate(expected):
         np.testing.assert_allclose(abreast.mean[_LIVE, c], mean[_LIVE], rtol=1e-12, atol=1e-12)

@@ -9,7 +9,6 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.effect_filter import EffectFilter
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import OnlineFilter
-from sugiyama_ros.filters.shown import shown_of
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
 
@@ -106,17 +105,6 @@ def test_what_was_learnt_is_recalled_and_survives_other_effects(dragged):
     online.change(ROW.with_effects(defaults()))
     assert not active(online.parameters)
     assert online.adapted == OnlineFilter(DT, dragged.road).adapted
-
-
-def test_what_is_shown_equals_what_is_known(dragged):
-    online = EffectFilter(DT, dragged.road, row_with(0.1), ["drag.c0"])
-    places = [*range(len(defaults())), DRAG]
-    shown = shown_of(online, places)
-    follow(online, samples_of(dragged, 3)[:60])
-    shown.read()
-    assert np.array_equal(shown.value, online.parameters[places])
-    assert np.array_equal(shown.covariance, online.parameter_covariance[np.ix_(places, places)])
-    assert shown.covariance[-1, -1] > 0.0
 
 
 def test_a_name_that_is_no_parameter_of_an_effect_is_refused():

@@ -9,7 +9,7 @@ from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.filters.alarm import check_style, excess_of, observe, onsets_for, predict_alarm
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import OnlineFilter
-from sugiyama_ros.filters.online_memory import Sizes, memory_for, online_arrays
+from sugiyama_ros.filters.online_step import Sizes, memory_for, online_arrays
 from sugiyama_ros.filters.state import State
 from sugiyama_ros.road import Road
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from sugiyama_ros.effects.registry import EFFECTS
-from sugiyama_ros.filters import causal, online_kernel
+from sugiyama_ros.filters import causal, online_step
 from sugiyama_ros.fingerprint import fingerprint, kernels_in
 from sugiyama_ros.laws.registry import LAWS, RIVALS
 from sugiyama_ros.simulation import drive, free_run
@@ -68,7 +68,7 @@ def test_code_constants_fields_and_options_matter(old: str, new: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "function", [causal.run, online_kernel.step, drive.drive, free_run.run_single], ids=lambda f: f.__name__
+    "function", [causal.run, online_step.step, drive.drive, free_run.run_single], ids=lambda f: f.__name__
 )
 def test_no_effect_and_no_law_is_part_of_a_filter_or_of_a_simulation(function: Any) -> None:
     """What is installed, edited or removed beside them, they need not be compiled anew."""

@@ -10,8 +10,8 @@ from sugiyama_ros.driver.utility import ACTIONS, mean_action
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN
-from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Moment, State, scene_at, step_for
-from sugiyama_ros.filters.step import linearise
+from sugiyama_ros.filters.predict import linearise_chain
+from sugiyama_ros.filters.state import MOVING, STATE, Drivers, State, scene_at, step_for
 from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.formats.truth import read_truth
 from sugiyama_ros.road import Road
@@ -98,8 +98,8 @@ def test_without_noise_the_filters_prediction_is_the_simulation():
         known = np.full(CHAIN, MOVING)
         rows = np.stack([s.parameters[0]] * CHAIN)
         state, drivers = State(mean, np.zeros((size, size)), known), Drivers(rows, none, nothing, nothing)
-        step = step_for(state, drivers, Moment(s.length_m[chain], np.full(3, np.nan), 0.0), scene, ACTIONS)
-        linearise(step)
+        step = step_for(state, drivers, s.length_m[chain], scene, ACTIONS)
+        linearise_chain(step)
         next_mean = step.out.next_mean
         s.step()
         assert next_mean[[0, 4]] == pytest.approx(s.position_m[chain[:2]] + [0.0, 230.0], abs=1e-9)

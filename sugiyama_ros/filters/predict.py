@@ -1,11 +1,11 @@
-"""One step of the model for a whole chain: its drivers aim and act, and the filter predicts and updates.
+"""The prediction of the causal filter: from what is known of a chain to what is expected one period later.
 
 Aim: a driver's action is expected over everything that the driver may be seeing, a cubature of the normal distribution
 of the state. The points of all drivers are put into a batch, in which all mean actions are worked out at once. Act: the
 actions at the points give the expected action and its regression on the state. This linearises the mean action
 statistically: its Jacobian at a point would make an extended Kalman filter whose likelihood is chaotic, because the
-mean action jumps close to contact. Predict: the chain moves, which gives F, Q and F P F' + Q. Update: one position
-after the other. ``abreast`` predicts and updates several filters side by side.
+mean action jumps close to contact. Predict: the chain moves, which gives F, Q and F P F' + Q. ``update`` takes in the
+measured positions. ``abreast`` has the algebra for several filters side by side.
 
 These functions run for every driver and sample. They make no arrays.
 
@@ -40,66 +40,76 @@ from sugiyama_ros.effects.control import (
     sees_as_it_is,
 )
 from sugiyama_ros.effects.effect import Seen
-from sugiyama_ros.filters.past import note_recalled, recall, recalled_at, shift
-from sugiyama_ros.filters.state import MOVING, STATE, Drivers, FilterStep, Linearised, State, Workspace, is_last
+from sugiyama_ros.filters.state import (
+    MOVING,
+    STATE,
+    Drivers,
+    FilterStep,
+    Linearised,
+    State,
+    is_last,
+    note_recalled,
+    recall,
+    recalled_at,
+    shift,
+)
 from sugiyama_ros.jit import kernel
 
-#: Variance below which a direction of what the driver sees counts as known; keeps the Cholesky factor invertible.
-KNOWN_VAR = 1e-12
-#: What a driver looks at: nobody ahead; the vehicle ahead; also at accelerations; at the vehicle ahead as it was.
-ALONE, LED, FEELING, RECALLING = range(4)
+# Variance below which a direction of what the driver sees counts as known; keeps the Cholesky factor invertible.
+_KNOWN_VAR = 1e-12
+# What a driver looks at: nobody ahead; the vehicle ahead; also at accelerations; at the vehicle ahead as it was.
+_ALONE, _LED, _FEELING, _RECALLING = range(4)
 # The noise of a driver is at least this part of their sigma_a: a filter that is too sure could not be corrected.
 _LEAST_FACTOR = 0.02
 
 
 @kernel(allocates=False)
-def linearise(step: FilterStep) -> float:
-    """Linearise one period of Eq. ssm_form for a whole chain; returns what the own driver means to do [m/s^2]."""
-    used = aim_all(step, 0)
+def linearise_chain(step: FilterStep) -> float:
+    """Let the drivers of one chain decide, and linearise one period of Eq. ssm_form; returns as ``linearise``."""
+    used = aim(step, 0)
     consider(used, step.scene.period_s, step.scene.horizon, step.batch)
     decide(used, step.batch, add_all_components(step))
     clear(step.out)
-    return conclude(step)
+    return linearise(step, 1.0)
 
 
 # Aim: the points at which mean actions are wanted.
 
 
 @kernel(allocates=False)
-def aim_all(step: FilterStep, free: int) -> int:
+def aim(step: FilterStep, free: int) -> int:
     """Aim for all drivers of a chain; returns the first slot of the batch that is free then."""
     for m in range(len(step.state.known) - 1):
         if step.state.known[m] == MOVING and not is_last(m, step.state.known):
-            free = _aim(m, step, free)
+            free = _aim_driver(m, step, free)
     return free
 
 
 @kernel(allocates=False)
-def _aim(m: int, step: FilterStep, free: int) -> int:
+def _aim_driver(m: int, step: FilterStep, free: int) -> int:
     """Find the points at which the action of driver m is wanted, and put them into the batch, from slot ``free`` on."""
-    state, drivers, workspace, batch = step.state, step.drivers, step.workspace, step.batch
+    state, drivers, batch = step.state, step.drivers, step.batch
     mean, known, driver = state.mean, state.known, drivers.parameters[m]
     adapted = drivers.adapted if m == 0 else drivers.adapted[:0]
-    place, row = _rows_of(m, workspace)
-    places, work = workspace.places[place : place + 2], workspace.root[row:]
+    places, work, _, _ = _cubature_of(m, step)
     recalled = recall(m, state, drivers, step.scene.period_s)
     view = _view_of(m, state, drivers)
     size = _look(m, view, recalled, len(known), len(adapted), places)
-    workspace.points[m, 0], workspace.points[m, 1] = size, free
+    step.points[m, 0], step.points[m, 1] = size, free
     _root(state.covariance, places, size, work)
     centre = size
     for i in range(size):
         work[centre, i] = mean[places[0, i]] - (mean[places[1, i]] if places[1, i] >= 0 else 0.0)
-    if view != ALONE:
-        work[centre, 0] -= 0.5 * (step.moment.length[m] + step.moment.length[m + 1])
+    if view != _ALONE:
+        work[centre, 0] -= 0.5 * (step.length[m] + step.length[m + 1])
     if not seeks(driver):
         return free
     first_adapted, look = size - len(adapted), centre + 1
-    if len(adapted) == 0 and view != RECALLING and sees_as_it_is(driver):
+    if len(adapted) == 0 and view != _RECALLING and sees_as_it_is(driver):
         wanted = preferences(driver)
         for point in range(2 * size):
             _look_around(work, size, point)
-            if view == ALONE:
+            if view == _ALONE:
                 put_into(batch, free + point, np.inf, work[look, 0], 0.0, wanted)
             else:
                 put_into(batch, free + point, work[look, 0], work[look, 1], work[look, 2], wanted)
@@ -119,12 +129,12 @@ def _aim(m: int, step: FilterStep, free: int) -> int:
 
 @kernel(allocates=False)
 def _view_of(m: int, state: State, drivers: Drivers) -> int:
-    """Return what driver m looks at: ALONE, LED, FEELING or RECALLING."""
+    """Return what driver m looks at: _ALONE, _LED, _FEELING or _RECALLING."""
     if state.known[m + 1] != MOVING:
-        return ALONE
+        return _ALONE
     if recalled_at(m, state, drivers) >= 0:
-        return RECALLING
-    return FEELING if feels_accelerations(drivers.parameters[m]) else LED
+        return _RECALLING
+    return _FEELING if feels_accelerations(drivers.parameters[m]) else _LED
 
 
 @kernel(allocates=False)
@@ -132,22 +142,22 @@ def _look(m: int, view: int, recalled: int, vehicles: int, adapted: int, places:
     """Fill in what the action of driver m depends on, and return the number of these quantities.
 
     Each is an entry of the state less another one. places: (2, .), the entry to add and the entry to take off, or -1:
-    of the gap (without lengths) and both speeds, or of the own speed alone. FEELING adds the noises of both, which are
-    part of the accelerations. RECALLING, from entry ``recalled`` on, means the gap of then, the own speed of now and
+    of the gap (without lengths) and both speeds, or of the own speed alone. _FEELING adds the noises of both, which are
+    part of the accelerations. _RECALLING, from entry ``recalled`` on, means the gap of then, the own speed of now and
     both speeds of then. Then follow the logarithms of the adapted parameters.
     """
     x, v = STATE * m, STATE * m + 1
     places[1] = -1
-    if view == ALONE:
+    if view == _ALONE:
         seen = 1
         places[0, 0] = v
-    elif view == RECALLING:
+    elif view == _RECALLING:
         seen = 4
         places[0, 0], places[0, 1], places[0, 2], places[0, 3] = recalled, v, recalled + 2, recalled + 1
     else:
-        seen = 5 if view == FEELING else 3
+        seen = 5 if view == _FEELING else 3
         places[0, 0], places[0, 1], places[0, 2], places[1, 0] = x + STATE, v, v + STATE, x
-        if view == FEELING:
+        if view == _FEELING:
             places[0, 3], places[0, 4] = x + 2, x + STATE + 2
     for k in range(adapted):
         places[0, seen + k] = STATE * vehicles + k
@@ -169,15 +179,20 @@ def _root(covariance: Array, places: Ints, size: int, root: Array) -> None:
                 entry += covariance[minus, places[1, j]]
             for k in range(j):
                 entry -= root[i, k] * root[j, k]
-            root[i, j] = math.sqrt(max(entry, KNOWN_VAR)) if i == j else entry / root[j, j]
+            root[i, j] = math.sqrt(max(entry, _KNOWN_VAR)) if i == j else entry / root[j, j]
         for j in range(i + 1, size):
             root[i, j] = 0.0
 
 
 @kernel(allocates=False)
-def _rows_of(m: int, workspace: Workspace) -> tuple[int, int]:
-    """Return the first rows of driver m in ``places`` and in ``root``."""
-    return 2 * m, m * (3 + workspace.places.shape[1])
+def _cubature_of(m: int, step: FilterStep) -> tuple[Ints, Array, int, int]:
+    """Return the points at which the action of driver m is wanted.
+
+    Returns ``places`` (2, .) of ``_look``, the root of their covariance with the rows below it, the number of
+    quantities that the action depends on, and the first slot of the batch.
+    """
+    rows = 3 + step.places.shape[1]
+    return step.places[2 * m : 2 * m + 2], step.root[rows * m :], step.points[m, 0], step.points[m, 1]
 
 
 @kernel(allocates=False)
@@ -198,7 +213,7 @@ def _look_around(work: Array, size: int, point: int) -> None:
 def _surroundings(m: int, step: FilterStep) -> Seen:
     """Return what driver m of a chain sees at the mean of the state."""
     mean, known, scene, parameters = step.state.mean, step.state.known, step.scene, step.drivers.parameters
-    length, rear = step.moment.length, step.moment.rear
+    length, rear = step.length, step.rear
     last = len(known) - 1
     x = STATE * m
     gap, leader_speed, leader_acceleration = np.inf, 0.0, 0.0
@@ -228,7 +243,7 @@ def _surroundings(m: int, step: FilterStep) -> Seen:
         speed=mean[x + 1],
         leader_speed=leader_speed,
         position=mean[x],
-        time=step.moment.time_s,
+        time=step.time_s,
         circumference=scene.circumference_m,
         acceleration=acceleration,
         leader_acceleration=leader_acceleration,
@@ -248,18 +263,18 @@ def _seen_at(here: Seen, work: Array, m: int, size: int, view: int, step: Filter
     known, parameters = step.state.known, step.drivers.parameters
     centre, look = size, size + 1
     acceleration, leader_acceleration = here.acceleration, here.leader_acceleration
-    if view == ALONE:
+    if view == _ALONE:
         gap, speed, leader_speed = np.inf, work[look, 0], 0.0
-    elif view == RECALLING:
+    elif view == _RECALLING:
         gap, speed, leader_speed = here.gap, work[look, 1], here.leader_speed
     else:
         gap, speed, leader_speed = work[look, 0], work[look, 1], work[look, 2]
-    past_gap = gap + (here.past_gap - here.gap) if view != ALONE else gap
+    past_gap = gap + (here.past_gap - here.gap) if view != _ALONE else gap
     past_speed = speed + (here.past_speed - here.speed)
     past_leader_speed = leader_speed + (here.past_leader_speed - here.leader_speed)
-    if view == RECALLING:
+    if view == _RECALLING:
         past_gap, past_leader_speed, past_speed = work[look, 0], work[look, 2], work[look, 3]
-    if view == FEELING:
+    if view == _FEELING:
         leader_rho = step.scene.last_rho if is_last(m + 1, known) else parameters[m + 1, RHO]
         acceleration += parameters[m, RHO] * (work[look, 3] - work[centre, 3])
         leader_acceleration += leader_rho * (work[look, 4] - work[centre, 4])
@@ -300,9 +315,8 @@ def add_all_components(step: FilterStep) -> bool:
 @kernel(allocates=False)
 def _add_components(m: int, step: FilterStep) -> None:
     """Add what effects add to the utilities of driver m, at the points in the batch."""
-    driver, batch, workspace = step.drivers.parameters[m], step.batch, step.workspace
-    size, first = workspace.points[m, 0], workspace.points[m, 1]
-    work = workspace.root[_rows_of(m, workspace)[1] :]
+    driver, batch = step.drivers.parameters[m], step.batch
+    _, work, size, first = _cubature_of(m, step)
     view = _view_of(m, step.state, step.drivers)
     here, shared = _surroundings(m, step), (batch.grid.actions, step.scene.period_s, step.scene.horizon, driver)
     for point in range(2 * size):
@@ -316,7 +330,7 @@ def _add_components(m: int, step: FilterStep) -> None:
             add_components(perceived, *shared, wanted, batch.added, batch.rough[block, slot:], SLOTS)
 
 
-class Expected(NamedTuple):
+class _Expected(NamedTuple):
     """Expectations of an action [m/s^2], and the variances [m^2/s^4] that their regressions on the state leave.
 
     held: what the driver holds; action: the same with what the environment adds; held_var, action_var: of both.
@@ -329,16 +343,13 @@ class Expected(NamedTuple):
 
 
 @kernel(allocates=False)
-def _expected_action(m: int, step: FilterStep) -> Expected:
-    """Return the expected action of driver m; ``slope`` and ``held_slope`` of the workspace take its regressions.
+def _expected_action(m: int, step: FilterStep, period_s: float) -> _Expected:
+    """Return the expected action of driver m over some time; ``slope`` and ``held_slope`` take its regressions.
 
     What ``_look`` does not list enters with its mean, such as the vehicle behind and the second vehicle ahead.
     """
-    workspace, driver = step.workspace, step.drivers.parameters[m]
-    chosen = workspace.chosen
-    size, first = workspace.points[m, 0], workspace.points[m, 1]
-    place, row = _rows_of(m, workspace)
-    places, work = workspace.places[place : place + 2], workspace.root[row:]
+    driver, chosen = step.drivers.parameters[m], step.chosen
+    places, work, size, first = _cubature_of(m, step)
     changed = acts_on_intention(driver) or not seeks(driver)
     if changed:
         _choose(m, step)
@@ -349,25 +360,23 @@ def _expected_action(m: int, step: FilterStep) -> Expected:
     # below the root stand rows of their own
     cross = size + 2
     held, held_var = _moments(chosen[0], work[cross], size)
-    _regress(work, cross, places, size, workspace.held_slope)
+    _regress(work, cross, places, size, step.held_slope)
     if changed:
         action, action_var = _moments(chosen[1], work[cross], size)
-        _regress(work, cross, places, size, workspace.slope)
+        _regress(work, cross, places, size, step.slope)
     else:
         action, action_var = held, held_var
-        for i in range(len(workspace.slope)):
-            workspace.slope[i] = workspace.held_slope[i]
-    meant = Expected(held, action, held_var, action_var)
-    return _carried_out(m, meant, step) if remembers(driver) else meant
+        for i in range(len(step.slope)):
+            step.slope[i] = step.held_slope[i]
+    meant = _Expected(held, action, held_var, action_var)
+    return _carried_out(m, meant, step, period_s) if remembers(driver) else meant
 
 
 @kernel(allocates=False)
 def _choose(m: int, step: FilterStep) -> None:
     """Fill in ``chosen`` for a driver with another law, or with effects that act on what the driver intends."""
-    workspace, driver = step.workspace, step.drivers.parameters[m]
-    chosen = workspace.chosen
-    size, first = workspace.points[m, 0], workspace.points[m, 1]
-    work = workspace.root[_rows_of(m, workspace)[1] :]
+    driver, chosen = step.drivers.parameters[m], step.chosen
+    _, work, size, first = _cubature_of(m, step)
     view, by_law = _view_of(m, step.state, step.drivers), not seeks(driver)
     here = _surroundings(m, step)
     for point in range(2 * size):
@@ -420,34 +429,28 @@ def _regress(work: Array, row: int, places: Ints, size: int, slope: Array) -> No
 
 
 @kernel(allocates=False)
-def _carried_out(m: int, meant: Expected, step: FilterStep) -> Expected:
+def _carried_out(m: int, meant: _Expected, step: FilterStep, period_s: float) -> _Expected:
     """Return what driver m carries out, who means ``meant`` and remembers what was held in the last period.
 
-    The regressions in the workspace change with it. What the environment adds does not depend on the memory.
+    The regressions change with it. What the environment adds does not depend on the memory.
     """
-    state, slope, held_slope = step.state, step.workspace.slope, step.workspace.held_slope
+    state, slope, held_slope = step.state, step.slope, step.held_slope
     pushed, pushed_var = meant.action - meant.held, max(meant.action_var - meant.held_var, 0.0)
     slope -= held_slope
     held = STATE * m + 3
     held_slope[held] -= 1.0
-    variance: float = max(_variance_along(held_slope, state.covariance) + meant.held_var, KNOWN_VAR)
-    row, period_s = step.drivers.parameters[m], step.scene.period_s
+    variance = 0.0
+    for i in range(len(held_slope)):
+        for j in range(len(held_slope)):
+            variance += held_slope[i] * state.covariance[i, j] * held_slope[j]
+    variance = max(variance + meant.held_var, _KNOWN_VAR)
+    row = step.drivers.parameters[m]
     change, share, left = expect_change(meant.held - state.mean[held], variance, row, period_s)
     held_slope *= share
     held_slope[held] += 1.0
     slope += held_slope
     expected, held_var = state.mean[held] + change, share * share * meant.held_var + left
-    return Expected(expected, expected + pushed, held_var, held_var + pushed_var)
-
-
-@kernel(allocates=False)
-def _variance_along(slope: Array, covariance: Array) -> float:
-    """Return the variance of a quantity that changes with the state by ``slope``."""
-    variance = 0.0
-    for i in range(len(slope)):
-        for j in range(len(slope)):
-            variance += slope[i] * covariance[i, j] * slope[j]
-    return variance
+    return _Expected(expected, expected + pushed, held_var, held_var + pushed_var)
 
 
 # Predict: the next mean, F and Q, and then F P F' + Q.
@@ -461,19 +464,23 @@ def clear(out: Linearised) -> None:
 
 
 @kernel(allocates=False)
-def conclude(step: FilterStep) -> float:
-    """Linearise the period, after all drivers have decided; F and Q are 0 before. Returns as ``linearise``."""
-    state, drivers, scene, workspace, out = step.state, step.drivers, step.scene, step.workspace, step.out
+def linearise(step: FilterStep, periods: float) -> float:
+    """Linearise some periods, in which the drivers do what they have decided; F and Q are 0 before.
+
+    Returns what the own driver means to do [m/s^2].
+    """
+    state, drivers, scene, out = step.state, step.drivers, step.scene, step.out
     mean, known, parameters = state.mean, state.known, drivers.parameters
     next_mean, jacobian, noise = out.next_mean, out.jacobian, out.noise
     vehicles, adapted = len(known), len(drivers.adapted)
-    period = scene.period_s
-    own_action = 0.0
+    period, memory, own_action = scene.period_s, scene.memory, 0.0
+    if periods != 1.0:
+        period, memory = periods * period, memory**periods
     for k in range(adapted):
         p = STATE * vehicles + k
-        next_mean[p] = drivers.prior_mean[k] + scene.memory * (mean[p] - drivers.prior_mean[k])
-        jacobian[p, p] = scene.memory
-        noise[p, p] = drivers.prior_var[k] * (1.0 - scene.memory**2)
+        next_mean[p] = drivers.prior_mean[k] + memory * (mean[p] - drivers.prior_mean[k])
+        jacobian[p, p] = memory
+        noise[p, p] = drivers.prior_var[k] * (1.0 - memory**2)
         out.columns[p, 0], out.counts[p] = p, 1
     for m in range(vehicles):
         x, v, n, b = STATE * m, STATE * m + 1, STATE * m + 2, STATE * m + 3
@@ -490,7 +497,7 @@ def conclude(step: FilterStep) -> float:
             action, rho, shock_std = 0.0, scene.last_rho, scene.last_shock_std
             next_mean[b] = 0.0
         else:
-            expected = _expected_action(m, step)
+            expected = _expected_action(m, step, period)
             action = expected.action
             noise[v, v] += period * period * expected.action_var
             noise[b, b] = expected.held_var
@@ -498,8 +505,8 @@ def conclude(step: FilterStep) -> float:
             next_mean[b] = expected.held
             for c in range(out.counts[v]):
                 k = out.columns[v, c]
-                jacobian[v, k] += period * workspace.slope[k]
-                jacobian[b, k] = workspace.held_slope[k]
+                jacobian[v, k] += period * step.slope[k]
+                jacobian[b, k] = step.held_slope[k]
             if m == 0:
                 own_action = expected.held
             rho = parameters[m, RHO]
@@ -523,11 +530,11 @@ def _note_columns(m: int, state: State, drivers: Drivers, out: Linearised) -> No
     if is_last(m, known):
         return
     view = _view_of(m, state, drivers)
-    if view == RECALLING:
+    if view == _RECALLING:
         note_recalled(recalled_at(m, state, drivers), v, out)
-    elif view != ALONE:
+    elif view != _ALONE:
         columns[v, 3], columns[v, 4], counts[v] = x + STATE, v + STATE, 5
-        if view == FEELING:
+        if view == _FEELING:
             columns[v, 5], counts[v] = n + STATE, 6
     if remembers(drivers.parameters[m]):
         columns[v, counts[v]] = b
@@ -586,15 +593,3 @@ def transform(symmetric: Array, out: Linearised, half: Array) -> None:
             for c in range(2, count):
                 total += half[i, columns[j, c]] * jacobian[j, columns[j, c]]
             symmetric[i, j] = symmetric[j, i] = total
-
-
-# Update: with one measured position.
-
-
-@kernel(allocates=False)
-def update(state: State, gain: Array, step: float, shrink: float) -> None:
-    """Take in a sample; gain: P H'; step: what is added to the mean along it; shrink: as of ``sample.weights``."""
-    for i in range(len(gain)):
-        state.mean[i] += gain[i] * step
-        for j in range(len(gain)):
-            state.covariance[i, j] -= shrink * (gain[i] * gain[j])

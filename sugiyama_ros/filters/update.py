@@ -1,4 +1,8 @@
-"""How a sample meets the filter: what it measures, what an innovation counts, and how vehicles come and go."""
+"""The update of the causal filter: the innovation of a measured position, what it counts, and how vehicles come and go.
+
+Positions are taken in one after the other: ``innovation``, ``weights``, ``update``. ``abreast`` updates several filters
+side by side.
+"""
 
 import math
 
@@ -8,31 +12,38 @@ from sugiyama_ros.effects.control import displacement, is_contaminated, noise_st
 from sugiyama_ros.filters.state import MOVING, POSITION, STATE, UNKNOWN, Scene, State, is_last
 from sugiyama_ros.jit import kernel
 
-#: Squared normalised innovation of a gross error, and of a sample that is far off where outliers are part of the model.
-GROSS, FAR = 36.0, 9.0
-#: How many of them in a row can be errors of the measurement.
-MOST_GROSS = 3
+#: Samples after the start of a vehicle's record (or after a break) whose innovations are not scored.
+SETTLING = 6
+#: Squared normalised innovation of a gross error.
+GROSS = 36.0
+# The same where outliers are part of the model, and how many gross errors in a row can be errors of the measurement.
+_GROSS_OUTLIER, _MOST_GROSS = 9.0, 3
 # Acceleration [m/s^2] for which a speed from two positions allows.
 _START_ACCELERATION_STD = 1.0
 
 
 @kernel(allocates=False)
-def measurement(position: float, parameters: Array, circumference_m: float) -> tuple[float, float]:
-    """Return what a measured position is expected to have beyond the true position, and its slope.
-
-    position: true position [m]; circumference_m: length of the ring [m], 0 for an open road. Returns offset: measured
-    position less the true one, without noise [m]; slope: derivative of the measured position by the true one: the entry
-    of H.
-    """
-    offset, slope = displacement(position, circumference_m, parameters)
-    return offset, 1.0 + slope
+def noise_var_at(position: float, parameters: Array, circumference_m: float) -> float:
+    """Return the variance of the measurement noise [m^2] at a position [m]."""
+    variance: float = parameters[SIGMA_NU] ** 2
+    return variance * noise_std_factor(position, circumference_m, parameters) ** 2
 
 
 @kernel(allocates=False)
-def noise_var_at(position: float, parameters: Array, circumference_m: float) -> float:
-    """Return the variance of the measurement noise [m^2] at a position [m]; arguments as for ``measurement``."""
-    variance: float = parameters[SIGMA_NU] ** 2
-    return variance * noise_std_factor(position, circumference_m, parameters) ** 2
+def innovation(m: int, measured: float, state: State, parameters: Array, scene: Scene) -> tuple[float, float, float]:
+    """Return the innovation [m] of vehicle m, its variance [m^2], and the entry of H.
+
+    measured: its measured position [m]; where it is NaN, so is the innovation. parameters: (WIDTH,) of the vehicle.
+    """
+    position, circumference = state.mean[STATE * m], scene.circumference_m
+    offset, slope = displacement(position, circumference, parameters)
+    slope += 1.0
+    variance = slope * slope * state.covariance[STATE * m, STATE * m]
+    variance += noise_var_at(position, parameters, circumference)
+    y = measured - position - offset
+    if circumference > 0.0 and not math.isnan(y):
+        y -= circumference * round(y / circumference)
+    return y, variance, slope
 
 
 @kernel(allocates=False)
@@ -60,6 +71,15 @@ def log_density(y: float, variance: float, parameters: Array) -> float:
         return -0.5 * (math.log(variance) + y * y / variance)
     density: float = weigh(y, variance, parameters[SIGMA_NU] ** 2, parameters)[2]
     return density
+
+
+@kernel(allocates=False)
+def update(state: State, gain: Array, step: float, shrink: float) -> None:
+    """Take in a sample; gain: P H'; step: what is added to the mean along it; shrink: as of ``weights``."""
+    for i in range(len(gain)):
+        state.mean[i] += gain[i] * step
+        for j in range(len(gain)):
+            state.covariance[i, j] -= shrink * (gain[i] * gain[j])
 
 
 @kernel
@@ -97,7 +117,7 @@ def start_vehicle(m: int, measured: float, elapsed: float, state: State, paramet
     mean, covariance, known = state.mean, state.covariance, state.known
     x, v, n, b = STATE * m, STATE * m + 1, STATE * m + 2, STATE * m + 3
     circumference = scene.circumference_m
-    measured -= measurement(measured, parameters[m], circumference)[0]
+    measured -= displacement(measured, circumference, parameters[m])[0]
     if known[m] == UNKNOWN:
         known[m] = POSITION
         mean[x] = measured
@@ -138,12 +158,12 @@ def gross_in_a_row(
 
     y: its innovation [m]; variance: the variance of the innovation [m^2].
     """
-    is_gross = y * y > (FAR if contaminated else GROSS) * variance
+    is_gross = y * y > (_GROSS_OUTLIER if contaminated else GROSS) * variance
     if not is_gross:
         return 0
-    if before < MOST_GROSS:
+    if before < _MOST_GROSS:
         return before + 1
-    x, v, over = STATE * m, STATE * m + 1, (MOST_GROSS + 1) * scene.period_s
+    x, v, over = STATE * m, STATE * m + 1, (_MOST_GROSS + 1) * scene.period_s
     covariance = state.covariance
     covariance[x, x] += y * y
     covariance[x, v] += y * y / over
