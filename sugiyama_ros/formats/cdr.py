@@ -31,7 +31,7 @@ _NEXT_IDL = "=" * 80 + "\nIDL: "
 # Lines such as #include: what they name is in the definition itself.
 _PREPROCESSOR = re.compile(r"^[ \t]*#.*$", re.MULTILINE)
 #: Kinds of definitions that can be used, as MCAP calls them.
-KINDS = ("ros2msg", "ros2idl", "omgidl", "ros1msg")
+_KINDS = ("ros2msg", "ros2idl", "omgidl", "ros1msg")
 # Bytes that ROS may leave behind the end of a message for each list in it, which may have been empty.
 _PADDING = 8
 #: Largest message [bytes] that is decoded if it holds lists of messages or texts, each a Python object.
@@ -90,7 +90,7 @@ def decoder_of(type_name: str, text: str, kind: str, encoding: str) -> Decoder |
     if not type_name:
         return "the bag does not say the type of its messages; record it again"
     name, known = ros2_name(type_name), "ros1msg" if encoding == "ros1" else "ros2msg"
-    if kind in KINDS and text.strip() and (kind == "ros1msg") == (encoding == "ros1"):
+    if kind in _KINDS and text.strip() and (kind == "ros1msg") == (encoding == "ros1"):
         made = decoder(name, text, kind)
         if made is not None:
             return made

@@ -288,7 +288,7 @@ _MAX_POINTS = 200_000
 _USUAL_S = 0.1
 
 
-def read_commonroad(path: Path, choices: Choices) -> Tracks:
+def _read_commonroad(path: Path, choices: Choices) -> Tracks:
     """Read a scenario. Lanelets that follow one another make a road; positions are measured along their middles.
 
     Raises InputError.
@@ -412,6 +412,6 @@ FORMAT = Format(
     name="commonroad",
     suffixes=(".xml",),
     recognise=lambda head, path: has_root(head, path, "commonRoad"),
-    read=read_commonroad,
+    read=_read_commonroad,
     summary="CommonRoad scenarios: obstacles on lanelets",
 )

@@ -20,7 +20,7 @@ from sugiyama_ros.progress import OnProgress
 
 
 @dataclass(frozen=True)
-class DataSet:
+class _DataSet:
     """A public archive: a zip file, of which one ``.data`` file is used."""
 
     url: str
@@ -31,7 +31,7 @@ class DataSet:
 
 
 CATALOGUE = {
-    "sugiyama2008": DataSet(
+    "sugiyama2008": _DataSet(
         url="https://mathematical-society-of-traffic-flow.github.io/assets/data/data.zip",
         size_bytes=275_807,
         sha256="751ec706d55b911e775deeb9436f2c340245883a4b7a567206411a1dcdba6fe4",
@@ -92,7 +92,7 @@ def fetch(
     return Fetched(data.path, bag.path)
 
 
-def _downloaded(url: str, data_set: DataSet, on_progress: OnProgress | None) -> Iterator[bytes]:
+def _downloaded(url: str, data_set: _DataSet, on_progress: OnProgress | None) -> Iterator[bytes]:
     """Blocks of the file at an address, at most as many bytes as the catalogue states."""
     if not url.startswith(("http://", "https://")):
         raise InputError(f"{url}: not a web address; it must start with https:// or http://")
@@ -116,7 +116,7 @@ def _downloaded(url: str, data_set: DataSet, on_progress: OnProgress | None) -> 
         raise InputError(f"{url}: cannot be reached ({reason}); check the network and the address") from None
 
 
-def _unpacked(archive: BinaryIO, name: str, data_set: DataSet) -> bytes:
+def _unpacked(archive: BinaryIO, name: str, data_set: _DataSet) -> bytes:
     """Content of the wanted file in a verified archive. Only its content is used, never its path."""
     size, found = archive.seek(0, 2), sha256(archive)
     if (size, found) != (data_set.size_bytes, data_set.sha256):

@@ -32,10 +32,10 @@ ZSTD = b"\x28\xb5\x2f\xfd"
 #: Largest record, and largest chunk after decompression [bytes].
 MAX_RECORD = 64 << 20
 #: Largest description (schema, channel, metadata), and largest sum of all descriptions of a file [bytes].
-MAX_DESCRIPTION = 1 << 20
+_MAX_DESCRIPTION = 1 << 20
 _MAX_DESCRIPTIONS = 64 << 20
 #: Most bytes of chunks that are open at the same time, because their times overlap.
-MOST_OPEN = 256 << 20
+_MOST_OPEN = 256 << 20
 # Bytes that are unpacked at once, and that stay free on the disk.
 _BLOCK, _STAY_FREE = 1 << 20, 1 << 30
 
@@ -45,7 +45,7 @@ MESSAGE = struct.Struct("<HIQQ")
 # Head of a chunk: log times [ns] of its first and last message, and length of its content [bytes].
 _CHUNK_HEAD = struct.Struct("<QQQ")
 
-Parsed = TypeVar("Parsed")
+_Parsed = TypeVar("_Parsed")
 
 
 class Record(NamedTuple):
@@ -101,13 +101,13 @@ class RecordFile:
             raise self.cut_off(offset)
         return record
 
-    def body(self, record: Record, largest: int = MAX_DESCRIPTION) -> bytes:
+    def body(self, record: Record, largest: int = _MAX_DESCRIPTION) -> bytes:
         """Body of a record of at most ``largest`` bytes."""
         if record.length > largest:
             raise self.damaged(record.offset, f"a record claims {record.length} bytes, more than {largest}")
         return self.read(record.offset + HEAD.size, record.length)
 
-    def parse(self, kind: type[Parsed], record: Record, largest: int = MAX_DESCRIPTION) -> Parsed:
+    def parse(self, kind: type[_Parsed], record: Record, largest: int = _MAX_DESCRIPTION) -> _Parsed:
         """A record's body as a record class of the package ``mcap``."""
         return _parse(kind, self.body(record, largest), f"{self.path}: offset {record.offset}")
 
@@ -170,10 +170,10 @@ class Descriptions:
         return self.schemas.get(self.channels[channel].schema_id)
 
 
-def _parse(kind: type[Parsed], body: bytes, where: str) -> Parsed:
+def _parse(kind: type[_Parsed], body: bytes, where: str) -> _Parsed:
     """Bytes of a record as a record class of the package ``mcap``. Raises InputError if they do not fit."""
     try:
-        record: Parsed = kind.read(ReadDataStream(BytesIO(body)))  # type: ignore[attr-defined]
+        record: _Parsed = kind.read(ReadDataStream(BytesIO(body)))  # type: ignore[attr-defined]
     except (McapError, struct.error, UnicodeDecodeError, OverflowError):
         raise InputError(f"{where}: not a valid {kind.__name__} record; the file is damaged") from None
     return record
@@ -217,8 +217,8 @@ def content_records(content: bytes, where: str) -> Iterator[tuple[int, int, int]
                 raise InputError(f"{where}: a message without its head; the file is damaged")
             yield opcode, start, position
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            if length > MAX_DESCRIPTION:
-                raise InputError(f"{where}: a description of {length} bytes, more than {MAX_DESCRIPTION}; not read")
+            if length > _MAX_DESCRIPTION:
+                raise InputError(f"{where}: a description of {length} bytes, more than {_MAX_DESCRIPTION}; not read")
             yield opcode, start, position
 
 
@@ -244,9 +244,9 @@ def merged(parts: Collection[Segment], path: Path) -> Iterator[Any]:
         while waiting and (not due or waiting[-1][1].start_ns <= due[0][0]):
             number, part = waiting.pop()
             open_bytes += part.size
-            if due and open_bytes > MOST_OPEN:
+            if due and open_bytes > _MOST_OPEN:
                 raise InputError(
-                    f"{path}: more than {MOST_OPEN >> 20} MiB of it lie in another order than their log times;"
+                    f"{path}: more than {_MOST_OPEN >> 20} MiB of it lie in another order than their log times;"
                     f" sort it with `mcap sort {path} -o sorted.mcap`"
                 )
             messages = iter(part.load())

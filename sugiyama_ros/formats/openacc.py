@@ -29,7 +29,7 @@ _LICENCE = "CC BY 4.0; cite Makridis et al., OpenACC"
 _SHORTEST_M, _LONGEST_M = 2.5, 7.0
 
 
-def read_openacc(path: Path, choices: Choices) -> Tracks:
+def _read_openacc(path: Path, choices: Choices) -> Tracks:
     """Read a platoon. Places in the plane become positions along the path that the cars share. Raises InputError."""
     sheet = _sheet(path, head_of(path))
     if sheet is None:
@@ -39,7 +39,7 @@ def read_openacc(path: Path, choices: Choices) -> Tracks:
     numbers = {name for name, one in found.items() if one is not None and one[1] != "Driver"}
     table = {name: np.asarray(column) for name, column in read_sheet(sheet, numbers, set(), {"Time": 1.0}).items()}
     places = _places(table, cars, path)
-    path_of_all = common_path(places)
+    path_of_all = _common_path(places)
     if path_of_all is None:
         raise InputError(f"{path}: no car moves; give a recording of a drive")
     position, off = (np.stack(one, axis=1) for one in zip(*map(path_of_all.positions, places), strict=True))
@@ -131,7 +131,7 @@ FORMAT = Format(
     name="openacc",
     suffixes=(".csv",),
     recognise=lambda head, path: _sheet(path, head) is not None,
-    read=read_openacc,
+    read=_read_openacc,
     summary="OpenACC: a platoon in one wide table; places become positions along the common path",
 )
 
@@ -148,7 +148,7 @@ _ROUNDS = 2
 _BACK, _AHEAD, _PER_MISSED = 8, 12, 5
 
 
-class Path2d:
+class _Path:
     """A path of straight pieces. point_m: (P, 2), points [m] along the path."""
 
     def __init__(self, point_m: Array) -> None:
@@ -202,7 +202,7 @@ class Path2d:
         return int(part[np.argmin(distance[part])])
 
 
-def thinned(place_m: Array) -> Array:
+def _thinned(place_m: Array) -> Array:
     """Places (T, 2) that lie at least a metre apart, shape (P, 2); missing ones are left out."""
     known = place_m[np.isfinite(place_m).all(axis=1)]
     kept: list[int] = []
@@ -212,7 +212,7 @@ def thinned(place_m: Array) -> Array:
     return np.asarray(known[kept])
 
 
-def common_path(places_m: list[Array]) -> Path2d | None:
+def _common_path(places_m: list[Array]) -> _Path | None:
     """The path of vehicles that drive one behind the other.
 
     places_m: (T, 2), places [m] of the vehicles at the same times, the first vehicle first; naN where missing.
@@ -220,25 +220,25 @@ def common_path(places_m: list[Array]) -> Path2d | None:
     places_m = [place for place in places_m if np.isfinite(place).all(axis=1).any()]
     if not places_m:
         return None
-    point = thinned(places_m[-1])
+    point = _thinned(places_m[-1])
     for place in places_m[-2::-1]:
         if len(point) < 2:
-            point = thinned(place)
+            point = _thinned(place)
             continue
-        path = Path2d(point)
+        path = _Path(point)
         position, _ = path.positions(place)
         beyond: Ints = np.flatnonzero(position > path.length_m + _POINT_M)
         if len(beyond):
-            point = np.concatenate((point, thinned(place[beyond[0] :])))
+            point = np.concatenate((point, _thinned(place[beyond[0] :])))
     if len(point) < 2:
         return None
-    path = Path2d(point)
+    path = _Path(point)
     for _ in range(_ROUNDS):
         path = _mean_path(path, places_m)
     return path
 
 
-def _mean_path(path: Path2d, places_m: list[Array]) -> Path2d:
+def _mean_path(path: _Path, places_m: list[Array]) -> _Path:
     """The mean of the places at which vehicles pass each point of a path."""
     followed = [(position, place) for place in places_m for position in [path.positions(place)[0]]]
     low = min(float(np.nanmin(position)) for position, _ in followed)
@@ -254,5 +254,5 @@ def _mean_path(path: Path2d, places_m: list[Array]) -> Path2d:
         passed += inside
         for axis in (0, 1):
             total[:, axis] += np.where(inside, np.interp(point, way, place[known, axis]), 0.0)
-    mean = thinned(total[passed > 0] / passed[passed > 0, None])
-    return Path2d(mean) if len(mean) > 1 else path
+    mean = _thinned(total[passed > 0] / passed[passed > 0, None])
+    return _Path(mean) if len(mean) > 1 else path

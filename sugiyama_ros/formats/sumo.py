@@ -37,7 +37,7 @@ _NUMBERS = {"s_m": "pos", "speed": "speed"}
 _GAP = "leaderGap"
 
 
-def read_sumo(path: Path, choices: Choices) -> Tracks:
+def _read_sumo(path: Path, choices: Choices) -> Tracks:
     """Read floating car data. Positions on edges become positions along the road that the edges make.
 
     The mesoscopic model names edges without lanes; then nobody's leader is known.
@@ -174,7 +174,7 @@ FORMAT = Format(
     name="sumo",
     suffixes=(".xml", ".csv", ".parquet"),
     recognise=_recognise,
-    read=read_sumo,
+    read=_read_sumo,
     summary="floating car data of SUMO as XML, CSV or Parquet: lanes on edges that follow one another",
 )
 
