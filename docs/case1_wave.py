@@ -13,14 +13,14 @@ from sugiyama_ros.filters.extract import chain_behind, track
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.simulation.collective import wave_speed, wave_speed_error
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 
 _FORMED_S, _LEVELS = 155.0, (2.0, 3.0, 4.0)
 # Speeds [m/s] that are tried for an edge, and distance [m] from the edge beyond which a crossing is another event.
 _TRIED, _NEAR_M = np.arange(-8.0, -4.0, 0.02), 20.0
 
 
-def along_edge(t: Trajectories, speed: Array, level: float, starts: bool) -> float:
+def along_edge(t: DenseTracks, speed: Array, level: float, starts: bool) -> float:
     """Speed [m/s] of the places at which cars fall below a speed, or at which they rise above it."""
     before, after = speed[:-1], speed[1:]
     crosses = (before < level) & (after >= level) if starts else (before >= level) & (after < level)

@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks.away.drivers import People, Sight, law_action, mean_action, noises
 from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.road import Road
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 
 _LENGTH_M = 4.33
 # Mean speed [m/s] of the first car on an open road, and amplitudes [m/s] and periods [s] of its waves.
@@ -192,7 +192,7 @@ def drive(scene: Setup, people: People, hidden: Sequence[Hidden], rng: np.random
     return np.array([view.position for view in seen])
 
 
-def record(scene: Setup, people: People, hidden: Sequence[Hidden], rng: np.random.Generator) -> Trajectories | None:
+def record(scene: Setup, people: People, hidden: Sequence[Hidden], rng: np.random.Generator) -> DenseTracks | None:
     """Return what a camera sees of a run; None if cars collide from rest and from uniform flow."""
     for is_moving in (scene.is_moving, True):
         x = drive(scene, people, hidden, rng, is_moving)
@@ -203,7 +203,7 @@ def record(scene: Setup, people: People, hidden: Sequence[Hidden], rng: np.rando
             if one.spoil is not None:
                 measured = _chosen(one, one.spoil(measured, scene, rng), measured)
         measured = measured[:: scene.every]
-        return Trajectories(
+        return DenseTracks(
             position_m=measured % scene.ring_m if scene.ring_m else measured,
             length_m=np.full(scene.drivers, _LENGTH_M),
             vehicle=np.arange(scene.drivers),

@@ -28,11 +28,10 @@ from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
 from sugiyama_ros.studies.lanes import two_lanes
 from sugiyama_ros.studies.rings import CARS, JAM_GAP_M, LENGTH_M, RING_M
 from sugiyama_ros.trajectories.about import About
-from sugiyama_ros.trajectories.dense import tracks_of
+from sugiyama_ros.trajectories.dense import DenseTracks, tracks_of
 from sugiyama_ros.trajectories.exchange import of_columns
 from sugiyama_ros.trajectories.labels import labels_of
 from sugiyama_ros.trajectories.tracks import Tracks
-from sugiyama_ros.trajectories.trajectories import Trajectories
 from sugiyama_ros.workers import workers
 
 #: Column of the driver whose likelihoods are measured.
@@ -83,7 +82,7 @@ def exponentials(perceived: paper.Perceived) -> Callable[[], object]:
     return lambda: np.exp(x, out=out)
 
 
-def likelihoods(t: Trajectories, rounds: int) -> dict[str, float]:
+def likelihoods(t: DenseTracks, rounds: int) -> dict[str, float]:
     """Measure one likelihood of a driver in both formulations, and the floor.
 
     Returns CPU times [s] of ``floor``, ``paper`` (with its gradient and information) and ``causal``.

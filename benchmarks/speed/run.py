@@ -19,11 +19,11 @@ from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.kalman import NO_REAR
 from sugiyama_ros.filters.online import OnlineFilter
 from sugiyama_ros.filters.online_step import online_arrays, step
-from sugiyama_ros.formats.convert import write_trajectories
+from sugiyama_ros.formats.convert import write_bag
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.mcap_writer import BagWriter
 from sugiyama_ros.jit import kernel
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 
 _ROUNDS = 3
 _FIRST_VERSION, _FASTER = 8.3, 6.0
@@ -41,7 +41,7 @@ def _steps(memory: Array, position: Array, identity: Ints, length: Array) -> Non
         step(memory)
 
 
-def filters_s(t: Trajectories) -> float:
+def filters_s(t: DenseTracks) -> float:
     """Measure the time of the processor [s] that the compiled filters of all drivers take."""
     work = []
     for driver in range(len(t.vehicle)):
@@ -85,7 +85,7 @@ def _of_graph(*arguments: str | Path) -> tuple[float, float]:
     return float(printed), spent_s() - before_s
 
 
-def measure(t: Trajectories, rounds: int = _ROUNDS) -> dict[str, dict[str, float]]:
+def measure(t: DenseTracks, rounds: int = _ROUNDS) -> dict[str, dict[str, float]]:
     """Measure runs of a recording and their floors.
 
     Returns for each kind of run the least times of the processor [s]: ``loop_s`` and ``process_s``, the floors
@@ -95,7 +95,7 @@ def measure(t: Trajectories, rounds: int = _ROUNDS) -> dict[str, dict[str, float
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         source = folder / "source.mcap"
-        write_trajectories(t, source)
+        write_bag(t, source)
         for _ in range(rounds):
             for kind, options in KINDS.items():
                 bag = folder / f"{kind}.mcap"

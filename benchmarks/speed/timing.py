@@ -17,7 +17,7 @@ from sugiyama_ros.filters import causal
 from sugiyama_ros.filters.causal import Observed
 from sugiyama_ros.filters.causal import run as run_filter
 from sugiyama_ros.studies.rings import CARS, RING_M, Ring, run
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 
 # Duration of the recording [s], as in the experiment.
 _DURATION_S = 250.0
@@ -29,7 +29,7 @@ _LOOK_S = 0.02
 
 
 @cache
-def jam(cars: int = CARS, duration_s: float = _DURATION_S) -> Trajectories:
+def jam(cars: int = CARS, duration_s: float = _DURATION_S) -> DenseTracks:
     """Simulate a jam on a ring of as many metres for each car as in the experiment.
 
     duration_s: duration [s].

@@ -41,13 +41,13 @@ from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.assemble import LONGEST_ABSENCE_S, assemble
 from sugiyama_ros.trajectories.centre_line import RoadLanes
+from sugiyama_ros.trajectories.dense import MAX_SAMPLES
 from sugiyama_ros.trajectories.jumps import jumps_noted
 from sugiyama_ros.trajectories.labels import Labels, labels, same_label
 from sugiyama_ros.trajectories.leaders import MOST_UNSEEN, TICK_S, find_leaders
 from sugiyama_ros.trajectories.placing import Placer, SeenVehicle
 from sugiyama_ros.trajectories.time_base import LONGEST_HOLE_S, nearly
 from sugiyama_ros.trajectories.tracks import FREE, NOBODY, UNKNOWN, Tracks, starts
-from sugiyama_ros.trajectories.trajectories import MAX_SAMPLES
 
 # Two resets of vehicles that are logged within this time [ns] are one.
 _ONE_RESET_NS = 5 * NS

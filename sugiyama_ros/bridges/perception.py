@@ -14,11 +14,11 @@ import numpy as np
 from sugiyama_ros.bridges.bridge import NS, UNITS_NS, Bridge
 from sugiyama_ros.bridges.frames import Frames
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M
 from sugiyama_ros.trajectories.assemble import LONGEST_ABSENCE_S
 from sugiyama_ros.trajectories.centre_line import RoadLanes
 from sugiyama_ros.trajectories.placing import NOBODY, OnLane, Placer, Positions, SeenVehicle, Unseen
 from sugiyama_ros.trajectories.tracks import FREE, UNKNOWN
-from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M
 
 #: Time has begun anew when so many stamps in a row lie so long [ns] before an earlier one.
 BACK_NS, BACK_IN_A_ROW = NS, 5

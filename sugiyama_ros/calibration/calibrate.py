@@ -16,9 +16,8 @@ from sugiyama_ros.fit.standard_errors import is_determined, quadratic
 from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.progress import OnProgress
 from sugiyama_ros.trajectories.about import About
-from sugiyama_ros.trajectories.dense import numbers_of, whole_road
+from sugiyama_ros.trajectories.dense import DenseTracks, numbers_of, whole_road
 from sugiyama_ros.trajectories.tracks import Tracks
-from sugiyama_ros.trajectories.trajectories import Trajectories
 from sugiyama_ros.workers import workers
 
 if TYPE_CHECKING:
@@ -70,7 +69,7 @@ def _named(found: Calibration, tracks: Tracks) -> Calibration:
 
 
 def each_driver(
-    road: Trajectories,
+    road: DenseTracks,
     settings: Settings,
     about: About = _ORIGIN,
     *,
@@ -95,7 +94,7 @@ def each_driver(
     return of_fits(settings, _drivers(road), fits, about, road)
 
 
-def _in_classes(road: Trajectories, settings: Settings, about: About, work: Executor) -> Calibration:
+def _in_classes(road: DenseTracks, settings: Settings, about: About, work: Executor) -> Calibration:
     """Calibrate classes of drivers on a whole road. The drivers of a class share all parameters."""
     drivers = len(road.vehicle)
     settings.check_classes(drivers, about.source)
@@ -106,7 +105,7 @@ def _in_classes(road: Trajectories, settings: Settings, about: About, work: Exec
     return of_classes(settings, _drivers(road), classes, about, road)
 
 
-def _pooled(tracks: Tracks, road: Trajectories | None, settings: Settings, work: Executor) -> Calibration:
+def _pooled(tracks: Tracks, road: DenseTracks | None, settings: Settings, work: Executor) -> Calibration:
     """Calibrate all drivers together, as draws from one population (partial pooling), with the causal formulation.
 
     The distribution of the parameters over the population is estimated from the same drivers (empirical Bayes).
@@ -151,7 +150,7 @@ def _pooled(tracks: Tracks, road: Trajectories | None, settings: Settings, work:
     )
 
 
-def _drivers(road: Trajectories) -> tuple[CalibratedDriver, ...]:
+def _drivers(road: DenseTracks) -> tuple[CalibratedDriver, ...]:
     return tuple(CalibratedDriver(number, number) for number in road.vehicle.tolist())
 
 

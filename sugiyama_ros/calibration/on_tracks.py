@@ -73,7 +73,7 @@ def calibrate_tracks(
     fits, nis = _passes(tracks, found.enough, search, settings.estimated, work, on_progress)
     numbers = numbers_of(tracks)
     drivers = [_who(tracks, numbers, own, one) for own, one in zip(found.enough, nis, strict=True)]
-    ahead = DriversAhead(tracks, search.start).of(found.enough, fits, settings.estimated)
+    ahead = _DriversAhead(tracks, search.start).of(found.enough, fits, settings.estimated)
     brief = tuple(_brief_driver(tracks, numbers, own, ahead) for own in found.few if following_s(own) > 0.0)
     return of_fits(settings, drivers, fits, tracks.about, brief=brief)
 
@@ -83,7 +83,7 @@ def _in_classes(
 ) -> Calibration:
     """Calibrate classes of drivers, behind drivers who count as typical."""
     settings.check_classes(len(drivers), tracks.about.source)
-    ahead, numbers = DriversAhead(tracks, search.start), numbers_of(tracks)
+    ahead, numbers = _DriversAhead(tracks, search.start), numbers_of(tracks)
     jobs = [_job(_quick(search), k, own, ahead) for k, own in enumerate(drivers)]
     samples = sum(int((d.scored & np.isfinite(d.chain.position_m[:, 0])).sum()) for own in drivers for d in own)
     with ThreadPoolExecutor(1) if work is None else nullcontext(work) as some:
@@ -101,7 +101,7 @@ def _quick(search: Job) -> Job:
     return replace(search, start=start, options=SearchOptions(with_errors=False))
 
 
-class DriversAhead:
+class _DriversAhead:
     """Parameters of the drivers ahead.
 
     typical: (P,), parameters of a driver of whom nothing is known; known: (P,), parameters of calibrated drivers by
@@ -117,7 +117,7 @@ class DriversAhead:
     ) -> None:
         self._tracks, self._typical, self._known, self._classes = tracks, typical, known, classes
 
-    def of(self, drivers: Sequence[Sequence[Drive]], fits: Sequence[Fit], estimated: Sequence[str]) -> "DriversAhead":
+    def of(self, drivers: Sequence[Sequence[Drive]], fits: Sequence[Fit], estimated: Sequence[str]) -> "_DriversAhead":
         """Return the parameters of calibrated drivers, and of their classes."""
         stretches = [own[0].stretch for own in drivers]
         known = {(one.recording, one.vehicle): fit.parameters for one, fit in zip(stretches, fits, strict=True)}
@@ -125,7 +125,7 @@ class DriversAhead:
         identified = [{name: fit.identified(name) for name in estimated} for fit in fits]
         groups = [[("", None)] * len(fits), [(one.vehicle_class, None) for one in stretches]]
         classes = [one for group in groups for one in medians_of(group, rows, identified)]
-        return DriversAhead(self._tracks, self._typical, known, classes)
+        return _DriversAhead(self._tracks, self._typical, known, classes)
 
     def __call__(self, own: Sequence[Drive]) -> tuple[Array, ...]:
         """Return the parameters (M - 1, P) of the vehicles that are ahead in most samples of each stretch."""
@@ -161,7 +161,7 @@ def _passes(
     Returns the fits, and the mean of the squared normalised innovations of each driver.
     """
     total, quick = 2 * len(drivers), _quick(search)
-    ahead, first = DriversAhead(tracks, search.start), []
+    ahead, first = _DriversAhead(tracks, search.start), []
     for fit in ordered_map(carry_out, (_job(quick, k, own, ahead) for k, own in enumerate(drivers)), work):
         first.append(fit)
         on_progress(len(first), total)
@@ -174,11 +174,11 @@ def _passes(
     return [fit for fit, _ in second], [nis for _, nis in second]
 
 
-def _job(search: Job, number: int, own: Sequence[Drive], ahead: DriversAhead) -> Job:
+def _job(search: Job, number: int, own: Sequence[Drive], ahead: _DriversAhead) -> Job:
     return replace(search, vehicle=number, followed=_chains(own, ahead))
 
 
-def _chains(own: Sequence[Drive], ahead: DriversAhead) -> DriverChains:
+def _chains(own: Sequence[Drive], ahead: _DriversAhead) -> DriverChains:
     return DriverChains(tuple(d.chain for d in own), ahead(own), tuple(d.scored for d in own))
 
 
@@ -197,7 +197,7 @@ def _summary(followed: DriverChains, row: Array) -> tuple[float, float]:
     return float(squares.mean()) if len(squares) else float("nan"), float(density[counts].sum())
 
 
-def _brief_driver(tracks: Tracks, numbers: Ints, own: Sequence[Drive], ahead: DriversAhead) -> BriefDriver:
+def _brief_driver(tracks: Tracks, numbers: Ints, own: Sequence[Drive], ahead: _DriversAhead) -> BriefDriver:
     """Give a driver who follows too briefly the parameters of the class."""
     row = ahead.of_class(own[0].stretch.vehicle_class)
     nis, log_likelihood = _summary(_chains(own, ahead), row)

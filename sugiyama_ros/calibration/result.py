@@ -21,7 +21,7 @@ from sugiyama_ros.fit.standard_errors import quadratic
 from sugiyama_ros.laws.registry import PAPERS, law
 from sugiyama_ros.results import BLUE, Result, TextTable, plain
 from sugiyama_ros.trajectories.about import About
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure
@@ -154,7 +154,7 @@ class Calibration(Result):
         Log-likelihood of each driver [nats], without the 2 pi term.
     about : About
         Where the recording comes from.
-    road : Trajectories, optional
+    road : DenseTracks, optional
         The recording, if it is one lane on which everybody is present.
     shared_std : mapping of str to float
         Standard deviations of the parameters that all drivers share, by name.
@@ -172,7 +172,7 @@ class Calibration(Result):
     interval: Array
     log_likelihood: Array
     about: About
-    road: Trajectories | None = None
+    road: DenseTracks | None = None
     shared_std: Mapping[str, float] | None = None
     classes: Classes | None = None
     brief: tuple[BriefDriver, ...] = ()
@@ -393,7 +393,7 @@ def of_fits(
     drivers: Sequence[CalibratedDriver],
     fits: Sequence[Fit],
     about: About,
-    road: Trajectories | None = None,
+    road: DenseTracks | None = None,
     brief: tuple[BriefDriver, ...] = (),
 ) -> Calibration:
     """Return the calibration that fits of single drivers make."""
@@ -417,7 +417,7 @@ def of_classes(
     drivers: Sequence[CalibratedDriver],
     classes: Classes,
     about: About,
-    road: Trajectories | None = None,
+    road: DenseTracks | None = None,
 ) -> Calibration:
     """Return the calibration in which each driver has the parameters of the likeliest class."""
     names, likeliest = settings.estimated, classes.probability.argmax(axis=1)

@@ -8,12 +8,12 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.causal import ChainJob, predict_samples
 from sugiyama_ros.filters.extract import chain_behind
 
-#: Mean NIS within which a filter knows its own errors well enough; 1 is right.
-LEAST_NIS, LARGEST_NIS = 0.5, 2.0
+# Mean NIS within which a filter knows its own errors well enough; 1 is right.
+_LEAST_NIS, _LARGEST_NIS = 0.5, 2.0
 # Part of the samples without a leader from which a vehicle follows nobody.
 _ALONE = 0.9
-#: One-step error [m] beyond which the filter has lost the vehicle.
-LARGEST_ERROR_M = 1000.0
+# One-step error [m] beyond which the filter has lost the vehicle.
+_LARGEST_ERROR_M = 1000.0
 
 
 def mean_nis(calibration: Calibration) -> Array:
@@ -29,7 +29,7 @@ def mean_nis(calibration: Calibration) -> Array:
         scored = np.isfinite(predicted.innovation) & np.isfinite(predicted.log_likelihood)
         y, variance = predicted.innovation[scored], predicted.innovation_var[scored]
         largest = float(np.nanmax(np.abs(predicted.innovation), initial=0.0))
-        if np.isnan(calibration.log_likelihood[i]) or largest > LARGEST_ERROR_M:
+        if np.isnan(calibration.log_likelihood[i]) or largest > _LARGEST_ERROR_M:
             raise InputError(
                 f"{t.source}: vehicle {t.vehicle[i]}: the filter has lost it (one-step error beyond 1 km); check its"
                 " positions, and give --ring METRES if the road is a ring"
@@ -45,7 +45,7 @@ def cautions(calibration: Calibration) -> list[str]:
         return []
     nis, vehicles = mean_nis(calibration), t.vehicle
     lines = []
-    small, large = nis < LEAST_NIS, nis > LARGEST_NIS
+    small, large = nis < _LEAST_NIS, nis > _LARGEST_NIS
     if small.any():
         lines.append(
             f"{_named(vehicles[small])}: mean NIS {np.median(nis[small]):.2f} instead of 1: the positions are smoother"

@@ -136,11 +136,11 @@ def _before_and_after(
     """Replay with the base model, find what is missing, and replay with it."""
     from sugiyama_ros.diagnosis.diagnose import diagnose as find
     from sugiyama_ros.fit.model_file import write_model
-    from sugiyama_ros.formats.convert import write_trajectories
+    from sugiyama_ros.formats.convert import write_bag
 
     with tempfile.TemporaryDirectory() as directory:
         source, model = Path(directory) / "measured.mcap", Path(directory) / "model.yaml"
-        write_trajectories(tracks.dense(), source)
+        write_bag(tracks.dense(), source)
         before = _to_the_end(RunOptions(Path(directory) / "before.mcap", source))
         with stages() as advance:
             found = find(tracks, most=most, seed=seed, workers=os.cpu_count() or 1, on_progress=advance)

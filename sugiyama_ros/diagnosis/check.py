@@ -29,7 +29,7 @@ from sugiyama_ros.fit.recording import BLOCK_S, Recorded
 from sugiyama_ros.fit.score import filtered_states
 from sugiyama_ros.fit.simulated import resample, seeds
 from sugiyama_ros.simulation.collective import Collective, collective
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 
 # Number of simulations of the whole road: their spread is known to a fifth.
 _SIMULATIONS = 12
@@ -186,7 +186,7 @@ def _signs(final: Entry) -> Iterator[Check]:
         yield Check(f"sign_of_{name}", value, least, "1", float(value >= least))
 
 
-def collective_of(trajectories: Trajectories, from_s: float = 0.0) -> Collective:
+def collective_of(trajectories: DenseTracks, from_s: float = 0.0) -> Collective:
     """Return collective measures of trajectories; the speeds come from a filter without a driver model.
 
     from_s: Time [s] at the beginning that does not count, at most half of all.

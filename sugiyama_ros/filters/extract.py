@@ -9,13 +9,13 @@ from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.driver.parameters import population
 from sugiyama_ros.filters.causal import filter_chain
 from sugiyama_ros.filters.chain import CHAIN, Chain
+from sugiyama_ros.trajectories.dense import DenseTracks
 from sugiyama_ros.trajectories.stretches import Stretch, stretches
 from sugiyama_ros.trajectories.tracks import Tracks
-from sugiyama_ros.trajectories.trajectories import Trajectories
 
 
 def chain_behind(
-    trajectories: Trajectories,
+    trajectories: DenseTracks,
     driver: int,
     vehicles: int = CHAIN,
     segment: Ints | None = None,
@@ -37,7 +37,7 @@ def chain_behind(
     return replace(chain, rear=track(_of_columns(trajectories, trajectories.follower[:, driver, None], segment)))
 
 
-def _of_columns(trajectories: Trajectories, columns: Ints, segment: Ints | None) -> Chain:
+def _of_columns(trajectories: DenseTracks, columns: Ints, segment: Ints | None) -> Chain:
     """Return the chain of the vehicles in ``columns`` (T, M), -1 for none, with nobody behind."""
     samples = np.arange(len(columns))
     there = columns >= 0
@@ -66,7 +66,7 @@ def track(alone: Chain) -> Array:
     return tracked
 
 
-def motion_of(t: Trajectories) -> tuple[Array, Array, Ints, float]:
+def motion_of(t: DenseTracks) -> tuple[Array, Array, Ints, float]:
     """Speeds, headways and leaders, each (T, N), and the period [s], without a driver model."""
     tracks = [track(chain_behind(t, i, vehicles=1)) for i in range(len(t.vehicle))]
     position, speed = (np.stack([one[:, k] for one in tracks], axis=1) for k in range(2))

@@ -28,7 +28,7 @@ from sugiyama_ros.driver.parameters import (
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.jit import kernel
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 
 # Samples without a perceived state at the start and at the end: the smoothed speed reaches from t - 2 to t + 3.
 _MARGIN_BEFORE, _MARGIN_AFTER = 2, 3
@@ -76,7 +76,7 @@ class Perceived:
     period_s: float
 
 
-def perceive(trajectories: Trajectories, driver: int) -> Perceived:
+def perceive(trajectories: DenseTracks, driver: int) -> Perceived:
     """Return what a driver perceives. Raises InputError."""
     where = f"{trajectories.source or 'trajectories'}: vehicle {trajectories.vehicle[driver]}"
     leaders = np.unique(trajectories.leader[:, driver])

@@ -28,7 +28,7 @@ from sugiyama_ros.fit.scoring import (
 )
 from sugiyama_ros.fit.smooth_positions import ESTIMATED, evenness, measured, with_short_periods
 from sugiyama_ros.fit.standard_errors import end_of_profile, is_determined, quadratic, stds
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 from sugiyama_ros.workers import ordered_map
 
 # Steps of the difference quotients of the causal filter: as part of a parameter's std; shortest, longest and first step
@@ -320,7 +320,7 @@ def _fall(job: Job, found: Fit, place: int, sign: float) -> Callable[[float], fl
 
 
 def calibrate(
-    trajectories: Trajectories,
+    trajectories: DenseTracks,
     formulation: Formulation = "causal",
     estimated: Sequence[str] = ESTIMATED,
     options: SearchOptions = PLAIN,
@@ -348,7 +348,7 @@ class JobMaker:
 
     def __init__(
         self,
-        trajectories: Trajectories,
+        trajectories: DenseTracks,
         formulation: Formulation,
         estimated: Sequence[str],
         known: Mapping[int, Array] = MappingProxyType({}),

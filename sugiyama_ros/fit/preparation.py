@@ -46,10 +46,9 @@ from sugiyama_ros.fit.smooth_positions import (
 )
 from sugiyama_ros.fit.smooth_positions import divided as divided_recording
 from sugiyama_ros.road import Road
-from sugiyama_ros.trajectories.dense import numbers_of, whole_road
+from sugiyama_ros.trajectories.dense import DenseTracks, numbers_of, whole_road
 from sugiyama_ros.trajectories.time_base import on_time_base, period_of
 from sugiyama_ros.trajectories.tracks import Tracks
-from sugiyama_ros.trajectories.trajectories import Trajectories
 
 _Kind = TypeVar("_Kind", bound=np.generic)
 #: A driver needs to follow for this long [s] to get parameters of their own.
@@ -81,7 +80,7 @@ def within(most: int | None, drivers: int, samples: int) -> range:
     return range(0, drivers, 1 if most is None else min(drivers, -(-drivers * samples // most)))
 
 
-def prepare_road(trajectories: Trajectories, segment: Ints | None = None, most: int | None = None) -> Recorded:
+def prepare_road(trajectories: DenseTracks, segment: Ints | None = None, most: int | None = None) -> Recorded:
     """Prepare a whole road for a fit; filters restart where the number of the ``segment`` (T,) changes.
 
     Raises InputError.
@@ -99,7 +98,7 @@ def prepare_road(trajectories: Trajectories, segment: Ints | None = None, most: 
     chains = tuple(chain_behind(trajectories, i, segment=segment) for i in who)
     unbroken = np.zeros(samples, np.int64) if segment is None else segment
     even, speed = evenness(measured(trajectories)), fastest(measured(trajectories))
-    lower, upper = bounds_of(even, speed)
+    lower, upper = _bounds_of(even, speed)
     is_whole, around = len(who) == drivers, _vicinity_of_road(trajectories)
     return Recorded(
         vicinity=around if is_whole else behind_measured(around, chains, who),
@@ -121,7 +120,7 @@ def prepare_road(trajectories: Trajectories, segment: Ints | None = None, most: 
     )
 
 
-def _blocks_of_road(trajectories: Trajectories) -> Ints:
+def _blocks_of_road(trajectories: DenseTracks) -> Ints:
     """Number of the block of time of each sample, (T,). Raises InputError for a recording that is too short."""
     samples = len(trajectories.position_m)
     duration = trajectories.period_s * samples
@@ -132,7 +131,7 @@ def _blocks_of_road(trajectories: Trajectories) -> Ints:
     return np.minimum(number, round(duration / block_s) - 1)
 
 
-def _vicinity_of_road(t: Trajectories) -> Vicinity:
+def _vicinity_of_road(t: DenseTracks) -> Vicinity:
     samples, drivers = t.position_m.shape
     return Vicinity(
         names=tuple(DriverName(number) for number in t.vehicle.tolist()),
@@ -149,7 +148,7 @@ def _vicinity_of_road(t: Trajectories) -> Vicinity:
     )
 
 
-def _ahead_of_road(t: Trajectories, who: Sequence[int]) -> Ints:
+def _ahead_of_road(t: DenseTracks, who: Sequence[int]) -> Ints:
     """Columns of the vehicles ahead of some drivers in most samples, (N, CHAIN - 1), or -1."""
     number, samples = {v: k for k, v in enumerate(t.vehicle.tolist())}, np.arange(len(t.position_m))
     ahead = np.full((len(who), CHAIN - 1), -1)
@@ -169,7 +168,7 @@ def _who_follows(chains: Sequence[Chain]) -> Mask:
     return follows if follows.any() else np.ones_like(follows)
 
 
-def bounds_of(even: Evenness, speed: float) -> tuple[Array, Array]:
+def _bounds_of(even: Evenness, speed: float) -> tuple[Array, Array]:
     """Return smallest sizes and upper bounds (WIDTH,) of a search over rows; ``speed``: a high one in the data."""
     lower = np.full(ROW.width, SMALLEST)
     lower[:COUNT] = lower_bounds(even)
@@ -251,7 +250,7 @@ def prepare_stretches(tracks: Tracks, decisions: int | None = None, most: int | 
     block = np.array([_blocks(chain) for chain in chains])
     fold = block % FOLDS
     block[1:] += np.cumsum(block.max(axis=1) + 1)[:-1, None]
-    lower, upper = bounds_of(even, speed)
+    lower, upper = _bounds_of(even, speed)
     return Recorded(
         vicinity=_vicinity(tracks, drivers, chains, parts),
         chains=chains,

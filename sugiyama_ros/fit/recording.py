@@ -11,7 +11,7 @@ from sugiyama_ros.fit.smooth_positions import (
     Evenness,
 )
 from sugiyama_ros.road import Road
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ class Recorded:
     speed: float
     lower: Array
     upper: Array
-    trajectories: Trajectories | None = None
+    trajectories: DenseTracks | None = None
     every: int = 1
     decisions: int = 1
     smoothed_s: float = 0.0

@@ -25,8 +25,8 @@ from sugiyama_ros.filters import paper
 from sugiyama_ros.filters.first_look import SIGMAS
 from sugiyama_ros.filters.paper import Scored
 from sugiyama_ros.fit.smooth_positions import Evenness
+from sugiyama_ros.trajectories.dense import DenseTracks
 from sugiyama_ros.trajectories.desired_speed import largest_v_star
-from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: Smallest size of a parameter in the search, in the parameter's own unit; noises have a bound of their own.
 SMALLEST = 1e-3
@@ -39,7 +39,7 @@ _SIGN = np.array([1.0 if p.lower >= 0.0 else 0.0 for p in ROW.declared])
 _SIGN[OMEGA_2] = -1.0
 
 
-def fastest(trajectories: Trajectories) -> float:
+def fastest(trajectories: DenseTracks) -> float:
     """Return the speed [m/s] below which 99 % of the samples are; 0 if there are too few samples for a speed."""
     speed = paper.smoothed_speed(trajectories.road.unwrap(trajectories.position_m), 2, trajectories.period_s)
     return float(np.nanquantile(speed, 0.99)) if np.isfinite(speed).any() else 0.0

@@ -18,7 +18,7 @@ from sugiyama_ros.fit.score import between_measurements, filtered_states
 from sugiyama_ros.progress import OnStage
 from sugiyama_ros.simulation.behind import RecordedTraffic, drive_behind
 from sugiyama_ros.simulation.simulator import Clock, Simulator
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 from sugiyama_ros.workers import parallel_map
 
 # Time [s] over which the track of a vehicle without a leader is smoothed (Savitzky, Golay, Anal. Chem. 36 (1964) 1627).
@@ -102,7 +102,7 @@ def resampled_fits(
     return parallel_map(one_run, rngs, "simulating the current model", on_progress)
 
 
-def _led(t: Trajectories, states: Array) -> tuple[Array, Array]:
+def _led(t: DenseTracks, states: Array) -> tuple[Array, Array]:
     """Positions [m] and speeds [m/s] (T, N) to start from, smoothed where vehicles without a leader move as recorded.
 
     Who follows them would otherwise have to follow every jump of the filter.
@@ -118,7 +118,7 @@ def _led(t: Trajectories, states: Array) -> tuple[Array, Array]:
 
 
 def _start(
-    t: Trajectories, model: Model, k: int, position: Array, speed: Array, there: Array, rng: np.random.Generator
+    t: DenseTracks, model: Model, k: int, position: Array, speed: Array, there: Array, rng: np.random.Generator
 ) -> tuple[Simulator | None, Ints]:
     """A simulator that starts from the recorded state of sample k, or None if too little is known; columns of its
     vehicles.

@@ -32,7 +32,7 @@ from sugiyama_ros.filters.first_look import (
     roughness_of_noises,
     with_smooth_noises,
 )
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 
 #: The parameters that the paper estimates; section 4.1.
 ESTIMATED = ("sigma_nu", "sigma_a", "v_star", "kappa_v")
@@ -139,14 +139,14 @@ def smoothing_window(positions: Iterable[Array], period_s: float) -> int:
     return _OF_NOISE + int(np.flatnonzero(np.abs(products) > ends * square)[-1])
 
 
-def evenness(trajectories: Trajectories) -> Evenness:
+def evenness(trajectories: DenseTracks) -> Evenness:
     """Return how evenly the vehicles of a recording move."""
     return evenness_of(trajectories.road.unwrap(trajectories.position_m).T, trajectories.period_s)
 
 
-#: Longest time [s] between samples of smoothed positions. Where samples are further apart, the filter knows too little
-#: of what drivers saw in between to tell what moved them.
-LONGEST_APART_S = 0.8
+# Longest time [s] between samples of smoothed positions. Where samples are further apart, the filter knows too little
+# of what drivers saw in between to tell what moved them.
+_LONGEST_APART_S = 0.8
 # Longest period [s] that one step of the model covers.
 _LONGEST_STEP_S = 0.5
 # Distance between samples of smoothed positions, over the window.
@@ -155,7 +155,7 @@ _OF_WINDOW = 0.75
 ROUNDING = 1e-6
 
 
-def with_short_periods(trajectories: Trajectories) -> Trajectories:
+def with_short_periods(trajectories: DenseTracks) -> DenseTracks:
     """Return a recording with empty samples in between if its samples are more than 0.5 s apart.
 
     The driver of the model decides anew at every sample, three times a second in the paper. A camera that keeps one
@@ -170,7 +170,7 @@ def usual_decisions(period_s: float) -> int:
     return 1 if period_s <= _LONGEST_STEP_S * (1.0 + ROUNDING) else round(period_s / REFERENCE_PERIOD_S)
 
 
-def divided(trajectories: Trajectories, parts: int) -> Trajectories:
+def divided(trajectories: DenseTracks, parts: int) -> DenseTracks:
     """Return a recording with empty samples that divide its period."""
     samples, vehicles = trajectories.position_m.shape
     position = np.full((parts * (samples - 1) + 1, vehicles), np.nan)
@@ -184,7 +184,7 @@ def apart_if_smoothed(window: int, even: Evenness) -> int:
     Rounding hides a smoother from ``smoothing_window``, but such positions still move more evenly than the noises of
     the model let them.
     """
-    longest_s = LONGEST_APART_S if window else _LONGEST_STEP_S
+    longest_s = _LONGEST_APART_S if window else _LONGEST_STEP_S
     longest = max(1, math.floor(longest_s * (1.0 + ROUNDING) / even.period_s))
     if window:
         return min(math.ceil(_OF_WINDOW * window), longest)
@@ -207,12 +207,12 @@ def smoothed_alike(present: Mask, ends: int) -> Mask:
     return np.asarray((since > ends) & (until > ends) | (ends == 0))
 
 
-def measured_every(trajectories: Trajectories) -> int:
+def measured_every(trajectories: DenseTracks) -> int:
     """Return the number of periods from one sample in which somebody is measured to the next, for ``measured``."""
     return max(1, int(np.gcd.reduce(np.flatnonzero(np.isfinite(trajectories.position_m).any(axis=1)))))
 
 
-def measured(trajectories: Trajectories) -> Trajectories:
+def measured(trajectories: DenseTracks) -> DenseTracks:
     """Return a recording without its empty samples in between."""
     every = measured_every(trajectories)
     if every == 1:

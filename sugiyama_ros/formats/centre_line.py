@@ -9,8 +9,8 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.reading import lines, number, open_input
 from sugiyama_ros.trajectories.centre_line import CentreLine, RoadLanes
 
-#: Width [m] of a lane, where the file does not give it.
-WIDTH_M = 3.5
+# Width [m] of a lane, where the file does not give it.
+_WIDTH_M = 3.5
 _NEEDED, _OPTIONAL = ("x", "y"), ("lane", "width")
 
 
@@ -36,7 +36,7 @@ def read_lanes(path: Path) -> RoadLanes:
                 raise InputError(f"{where}: {len(cells)} of {len(head)} fields; correct or remove the line")
             lane = cells.get("lane", "0").strip()
             points.setdefault(lane, []).append((number(cells["x"], "x", where), number(cells["y"], "y", where)))
-            width[lane] = number(cells["width"], "width", where) if "width" in cells else WIDTH_M
+            width[lane] = number(cells["width"], "width", where) if "width" in cells else _WIDTH_M
             if not 0.5 <= width[lane] <= 50.0:
                 raise InputError(f"{where}: width {width[lane]:g} m is not that of a lane; give 0.5 to 50")
     if not points:

@@ -16,8 +16,8 @@ from sugiyama_ros.trajectories.tracks import NUMBERS, TEXTS
 COLUMNS = (*TEXTS, *NUMBERS, "leader", "measured")
 #: Columns of the leader, in a table whose rows have a follower and the leader; and their gap.
 PAIRED = ("leader_vehicle", "leader_s_m", "leader_length_m", "leader_speed", "gap_m")
-#: Columns that a map may name.
-MAPPED = (*COLUMNS, "speed", *PAIRED)
+# Columns that a map may name.
+_MAPPED = (*COLUMNS, "speed", *PAIRED)
 # Factors to metres or seconds, without their signs: from picoseconds to the largest units.
 _FACTORS = 1e-12, 1e12
 _REFERENCES: tuple[Reference, ...] = ("centre", "front", "rear")
@@ -74,11 +74,11 @@ def choices_of(said: Any, path: object) -> Choices:
     """What the content of a map says; ``path`` is its name in a message. Raises InputError."""
     if not isinstance(said, Mapping):
         raise InputError(f"{path}: not a map of columns; give lines like 'lane: Lane_ID'")
-    unknown = [name for name in said if name not in (*MAPPED, "reference", "ring_m", "view")]
+    unknown = [name for name in said if name not in (*_MAPPED, "reference", "ring_m", "view")]
     if unknown:
-        raise InputError(f"{path}: {str(unknown[0])[:40]!r} is no column of tracks; choose among {', '.join(MAPPED)}")
+        raise InputError(f"{path}: {str(unknown[0])[:40]!r} is no column of tracks; choose among {', '.join(_MAPPED)}")
     choices = Choices(
-        columns={name: _column(path, name, said[name]) for name in MAPPED if name in said},
+        columns={name: _column(path, name, said[name]) for name in _MAPPED if name in said},
         reference=_one_of(path, "reference", said.get("reference"), _REFERENCES),
         view=_one_of(path, "view", said.get("view"), _VIEWS),
     )

@@ -147,7 +147,7 @@ def put_together(
         about = replace(about, ring_m=choices.ring_m)
     if choices.view is not None:
         about = replace(about, view=choices.view)
-    columns["time_s"], note = in_seconds(np.asarray(columns["time_s"]))
+    columns["time_s"], note = _in_seconds(np.asarray(columns["time_s"]))
     about = about.noting(note)
     tracks = assemble(columns, about, choices.reference or reference)
     if np.any(np.diff(tracks.start) > 1) and not is_regular(tracks):
@@ -157,7 +157,7 @@ def put_together(
     return replace(tracks, about=tracks.about.noting(note))
 
 
-def in_seconds(time: Array) -> tuple[Array, str]:
+def _in_seconds(time: Array) -> tuple[Array, str]:
     """Times (R,) [s], where they may count parts of a second since 1970, and a note that says so."""
     latest = float(np.nanmax(np.abs(time), initial=0.0))
     for above, part, name in _PARTS:

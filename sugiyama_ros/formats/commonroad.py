@@ -28,7 +28,7 @@ from sugiyama_ros.trajectories.assemble import AGREES
 from sugiyama_ros.trajectories.labels import Labels, labels, labels_of
 from sugiyama_ros.trajectories.tracks import Tracks
 
-#: Distance [m] from the middle of a lanelet within which a vehicle is on it, and angle [rad] to its direction.
+# Distance [m] from the middle of a lanelet within which a vehicle is on it, and angle [rad] to its direction.
 _ON_LANE_M, _WITHIN = 2.5, 0.25 * np.pi
 # What a change to a lanelet that does not follow costs: the square of a distance [m] of half a lane.
 _CHANGE = 1.75**2
@@ -187,7 +187,7 @@ class _Graph:
                 ways += [[*way, one] for one in self.after[way[-1]]]
         return []
 
-    def onward(self, route: Sequence[int]) -> list[int]:
+    def _onward(self, route: Sequence[int]) -> list[int]:
         """The lanelets that a vehicle comes to, from the first of its route on, as far as somebody knows."""
         way = [route[0]]
         for one in route[1:]:
@@ -278,11 +278,11 @@ def _ways(graph: _Graph, seen: _SeenRows, order: Ints, lanelet: Ints) -> Iterato
         route = own[begins].tolist()
         for k, (begin, end) in enumerate(zip(begins.tolist(), ends.tolist(), strict=True)):
             if route[k] >= 0:
-                way = graph.onward(route[k:])
+                way = graph._onward(route[k:])
                 yield from ((int(row), way) for row in rows[begin:end].tolist())
 
 
-#: Points of all lanelets, at most.
+# Points of all lanelets, at most.
 _MAX_POINTS = 200_000
 # Time [s] between two steps where the file does not say it.
 _USUAL_S = 0.1

@@ -10,14 +10,13 @@ from sugiyama_ros.formats.mcap_writer import LATCHED_TOPIC, BagWriter, Qos
 from sugiyama_ros.formats.measured import MEASURED_TYPE, ROAD_TYPE, messages
 from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.formats.tracks_parquet import write_tracks
-from sugiyama_ros.trajectories.dense import whole_road
+from sugiyama_ros.trajectories.dense import DenseTracks, whole_road
 from sugiyama_ros.trajectories.selection import Selection, select
 from sugiyama_ros.trajectories.time_base import on_time_base, period_of
 from sugiyama_ros.trajectories.tracks import Tracks
-from sugiyama_ros.trajectories.trajectories import Trajectories
 
 
-def write_trajectories(trajectories: Trajectories, target: Target) -> None:
+def write_bag(trajectories: DenseTracks, target: Target) -> None:
     """Write a bag with the topics /road and /measured. Stamps and log times are the times of the samples."""
     about = {"source": trajectories.source, "sha256": trajectories.sha256}
     with BagWriter(target, about) as bag:
@@ -59,7 +58,7 @@ def convert(source: Path, target: Target, part: Part = Part()) -> Tracks:
     if part.period_s is not None:
         tracks = on_time_base(tracks, part.period_s)
     if suffix == ".mcap":
-        write_trajectories(whole_road(tracks) or tracks.dense(str(source)), output)
+        write_bag(whole_road(tracks) or tracks.dense(str(source)), output)
         return tracks
     if tracks.runs < len(tracks):
         period_of(tracks)  # refuses times of a wrong unit before anything is written

@@ -48,7 +48,7 @@ CATALOGUE = {
 _TIMEOUT_S = 20.0
 _LONGEST_S = 600.0
 _BLOCK = 1 << 16
-#: Largest file that is unpacked [bytes].
+# Largest file that is unpacked [bytes].
 _MAX_UNPACKED = 16 << 20
 
 

@@ -19,11 +19,11 @@ from sugiyama_ros.trajectories.labels import Labels, joined, same_label
 from sugiyama_ros.trajectories.tracks import NUMBERS, TEXTS, Tracks
 
 _SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".data")
-#: Files in a folder, at most.
-MAX_FILES = 10_000
+# Files in a folder, at most.
+_MAX_FILES = 10_000
 
 
-def read_folder(path: Path, choices: Choices) -> Tracks:
+def _read_folder(path: Path, choices: Choices) -> Tracks:
     """Read all files of a folder that are tables; files beside them that hold metadata are left out.
 
     Raises InputError.
@@ -36,8 +36,8 @@ def read_folder(path: Path, choices: Choices) -> Tracks:
         raise InputError(
             f"{path}: not a regular file, but a folder without tables ({', '.join(_SUFFIXES)}); give a file"
         )
-    if len(files) > MAX_FILES:
-        raise InputError(f"{path}: more than {MAX_FILES} files; split the folder")
+    if len(files) > _MAX_FILES:
+        raise InputError(f"{path}: more than {_MAX_FILES} files; split the folder")
     together = read_files(files, choices, shown_name(path))
     others = ", ".join(shown_name(one) for one in tables if one not in files)
     note = f"files of no known format were left out: {others[:200]}" if others else ""
@@ -108,6 +108,6 @@ FORMAT = Format(
     name="folder",
     suffixes=(),
     recognise=lambda head, path: path.is_dir(),
-    read=read_folder,
+    read=_read_folder,
     summary="a folder of tables in any of these formats: each file is a recording",
 )

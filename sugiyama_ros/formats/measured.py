@@ -1,4 +1,4 @@
-"""Trajectories in a bag: messages on the topics ``road`` and ``measured``, written and read."""
+"""One road in a bag: messages on the topics ``road`` and ``measured``, written and read."""
 
 import math
 from array import array
@@ -15,18 +15,18 @@ from sugiyama_ros.formats.mcap_records import MAGIC
 from sugiyama_ros.formats.reading import checksum_of, shown_name
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.assemble import Columns, assemble
+from sugiyama_ros.trajectories.dense import MAX_SAMPLES, DenseTracks
 from sugiyama_ros.trajectories.labels import numbered
 from sugiyama_ros.trajectories.tracks import Tracks
-from sugiyama_ros.trajectories.trajectories import MAX_SAMPLES, Trajectories
 
 if TYPE_CHECKING:
     from sugiyama_ros.formats.mcap_reader import Bag
 
 ROAD_TYPE = "sugiyama_msgs/msg/Road"
 MEASURED_TYPE = "sugiyama_msgs/msg/MeasuredPositions"
-#: Largest number of a vehicle, which ROS sends in 32 bits.
+# Largest number of a vehicle, which ROS sends in 32 bits.
 _LAST_VEHICLE = 2**31 - 1
-#: The fields that trajectories on one lane do not have.
+# The fields that trajectories on one lane do not have.
 _UNKNOWN = {
     "lane": np.zeros(0, np.int32),
     "d_m": np.zeros(0),
@@ -42,8 +42,8 @@ def stamp_ns(time_s: float) -> int:
     return round(time_s * 1e9)
 
 
-def messages(trajectories: Trajectories) -> Iterator[tuple[str, int, bytes]]:
-    """Trajectories as messages: one Road, then one MeasuredPositions for each time.
+def messages(trajectories: DenseTracks) -> Iterator[tuple[str, int, bytes]]:
+    """One road as messages: one Road, then one MeasuredPositions for each time.
 
     A vehicle is in a message while it is on the road.
 
@@ -87,7 +87,7 @@ def messages(trajectories: Trajectories) -> Iterator[tuple[str, int, bytes]]:
         )
 
 
-def read_measured(path: Path, choices: Choices) -> Tracks:
+def _read_measured(path: Path, choices: Choices) -> Tracks:
     """Read tracks from a bag with one ``road`` and one ``measured`` topic, in any namespace. Raises InputError."""
     from sugiyama_ros.formats.mcap_reader import Bag
 
@@ -228,6 +228,6 @@ FORMAT = Format(
     name="mcap",
     suffixes=(".mcap",),
     recognise=_is_bag,
-    read=read_measured,
+    read=_read_measured,
     summary="a bag with the topics road and measured",
 )

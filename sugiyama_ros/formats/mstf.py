@@ -24,7 +24,7 @@ _CASE_1_SHA256 = "91cf02c7cbf3fe6d817dd02ef347586b12a9134b1f914655e486be2f877345
 _CIRCUIT = re.compile(r"circuit length is +(\d+(?:\.\d*)?) *m\b")
 
 
-def read_mstf(path: Path, choices: Choices) -> Tracks:
+def _read_mstf(path: Path, choices: Choices) -> Tracks:
     """Read a ``.data`` file: lines of position [m] and time [s], one block for each car.
 
     Cars are numbered by block, from 0. The file has no lengths: the cars of case 1 get the lengths in the reference.
@@ -69,6 +69,6 @@ FORMAT = Format(
     name="mstf",
     suffixes=(".data",),
     recognise=has_suffix(".data"),
-    read=read_mstf,
+    read=_read_mstf,
     summary="ring experiments of the Mathematical Society of Traffic Flow: position and time, one block for each car",
 )

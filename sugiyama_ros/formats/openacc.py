@@ -16,7 +16,7 @@ from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.labels import Labels, labels
 from sugiyama_ros.trajectories.tracks import Tracks
 
-#: Radius of the earth [m].
+# Radius of the earth [m].
 _EARTH_M = 6_371_000.0
 # Coordinates [m] of a map are not larger.
 _FARTHEST_M = 2e7
@@ -136,7 +136,7 @@ FORMAT = Format(
 )
 
 
-#: Distance [m] between two points of a path.
+# Distance [m] between two points of a path.
 _POINT_M = 1.0
 # Distance [m] from the path within which a vehicle counts as on it when it is first seen.
 _NEAR_M = 15.0

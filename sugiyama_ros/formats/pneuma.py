@@ -18,14 +18,14 @@ from sugiyama_ros.trajectories.tracks import Tracks
 
 _HEAD = ("track_id", "type", "traveled_d", "avg_speed")
 _GROUP = 6
-#: Longest line [bytes]: a vehicle that is seen for two hours at 25 Hz has 15 MB.
+# Longest line [bytes]: a vehicle that is seen for two hours at 25 Hz has 15 MB.
 _LONGEST = 32 << 20
 _EARTH_M = 6_371_000.0
 _LICENCE = "open-traffic.epfl.ch: cite Barmpounakis and Geroliminis (2020)"
 _SIDES = ("east", "north", "west", "south")
 
 
-def read_pneuma(path: Path, choices: Choices) -> Tracks:
+def _read_pneuma(path: Path, choices: Choices) -> Tracks:
     """Read a file of pNEUMA.
 
     The file names neither lanes nor leaders. A road is a direction of the compass, and a position is measured in the
@@ -117,6 +117,6 @@ FORMAT = Format(
     name="pneuma",
     suffixes=(".csv",),
     recognise=_recognise,
-    read=read_pneuma,
+    read=_read_pneuma,
     summary="pNEUMA: lines of different lengths, places in degrees; no lanes and no leaders",
 )

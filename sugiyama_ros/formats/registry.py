@@ -17,8 +17,8 @@ from sugiyama_ros.trajectories.tracks import Tracks
 
 #: Group of entry points by which other packages add formats.
 GROUP = "sugiyama_ros.formats"
-#: Modules of the built-in formats. A bag is recognised by its content, whatever its suffix, so it comes first.
-BUILT_IN = (
+# Modules of the built-in formats. A bag is recognised by its content, whatever its suffix, so it comes first.
+_BUILT_IN = (
     "measured",
     "mstf",
     "tracks_parquet",
@@ -42,8 +42,8 @@ def formats() -> tuple[Format, ...]:
 
     The formats of other packages come first, so that they can also take files with a suffix of a built-in format.
     """
-    found = tuple(plugins.registered(GROUP, Format, BUILT_IN, "FORMAT").values())
-    return (*found[len(BUILT_IN) :], *found[: len(BUILT_IN)])
+    found = tuple(plugins.registered(GROUP, Format, _BUILT_IN, "FORMAT").values())
+    return (*found[len(_BUILT_IN) :], *found[: len(_BUILT_IN)])
 
 
 def known_suffixes() -> str:

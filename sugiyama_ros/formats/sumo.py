@@ -17,7 +17,7 @@ from sugiyama_ros.formats.sheet import MAX_ROWS, head_of, sheet_of
 from sugiyama_ros.trajectories.labels import Labels, labels
 from sugiyama_ros.trajectories.tracks import Tracks
 
-#: Length [m] of vehicles of SUMO, unless their type says otherwise; the files do not say it.
+# Length [m] of vehicles of SUMO, unless their type says otherwise; the files do not say it.
 _LENGTH_M = 5.0
 _WANTED = {
     "time_s": need("timestep_time"),

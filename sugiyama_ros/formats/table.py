@@ -30,10 +30,10 @@ from sugiyama_ros.formats.pairs import both_of
 from sugiyama_ros.formats.reading import why_no_text
 from sugiyama_ros.formats.sheet import Sheet, head_of, sheet_of
 from sugiyama_ros.trajectories.about import About
+from sugiyama_ros.trajectories.dense import DenseTracks
 from sugiyama_ros.trajectories.tracks import Tracks
-from sugiyama_ros.trajectories.trajectories import Trajectories
 
-#: Columns by their own names, or by others that say the same.
+# Columns by their own names, or by others that say the same.
 _PLAIN: dict[str, Take] = {
     **{name: take(name) for name in COLUMNS},
     "vehicle": need("vehicle", "vehicle_id"),
@@ -59,10 +59,10 @@ def read_table(path: Path, choices: Choices) -> Tracks:
         raise InputError(
             f"{path}:1: no column time_s, vehicle, position_m; give a table whose first line names its columns"
         )
-    return tracks_of_sheet(sheet, choices, about_file(path))
+    return _tracks_of_sheet(sheet, choices, about_file(path))
 
 
-def tracks_of_sheet(sheet: Sheet, choices: Choices, about: About) -> Tracks:
+def _tracks_of_sheet(sheet: Sheet, choices: Choices, about: About) -> Tracks:
     """Read a plain table of any kind. Raises InputError."""
     wanted = _PLAIN | {
         name: Take((column,), factor, optional=False) for name, (column, factor) in choices.columns.items()
@@ -89,7 +89,7 @@ def tracks_of_sheet(sheet: Sheet, choices: Choices, about: About) -> Tracks:
     return put_together(columns, about, choices)
 
 
-def write_csv(road: Trajectories, target: Target) -> None:
+def write_csv(road: DenseTracks, target: Target) -> None:
     """Write one road as CSV; missing samples have an empty position. Raises OutputError."""
     with writing(target) as stream:
         stream.write(b"time_s,vehicle,position_m,length_m\n")
@@ -124,7 +124,7 @@ def tracks_of_frame(frame: Any, choices: Choices | None = None) -> Tracks:
     frame: columns vehicle, time_s [s] and s_m (or position_m) [m], and perhaps the other columns of tracks. Raises
     InputError.
     """
-    return tracks_of_sheet(_sheet_of_frame(frame), choices or Choices(), About(source=str(_WHERE)))
+    return _tracks_of_sheet(_sheet_of_frame(frame), choices or Choices(), About(source=str(_WHERE)))
 
 
 def _sheet_of_frame(frame: Any) -> Sheet:

@@ -15,7 +15,7 @@ from sugiyama_ros.trajectories.exchange import about_of, of_columns, to_arrow, w
 from sugiyama_ros.trajectories.tracks import Tracks
 
 
-def read_tracks_parquet(path: Path, choices: Choices) -> Tracks:
+def _read_tracks_parquet(path: Path, choices: Choices) -> Tracks:
     """Read tracks that `write_tracks` wrote. Raises InputError."""
     head = head_of(path)
     sheet, about = sheet_of(path, head), _about(head, path)
@@ -67,6 +67,6 @@ FORMAT = Format(
     name="tracks",
     suffixes=(".parquet",),
     recognise=lambda head, path: _about(head, path) is not None,
-    read=read_tracks_parquet,
+    read=_read_tracks_parquet,
     summary="tracks in Parquet, as sugiyama convert writes them",
 )

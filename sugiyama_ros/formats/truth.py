@@ -12,7 +12,7 @@ from sugiyama_ros.files import Target
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.mcap_writer import LATCHED_TOPIC, BagWriter, Qos
 from sugiyama_ros.formats.measured import FRAME, MEASURED_TYPE, ROAD_TYPE, messages, stamp_ns
-from sugiyama_ros.trajectories.trajectories import MAX_SAMPLES, Trajectories
+from sugiyama_ros.trajectories.dense import MAX_SAMPLES, DenseTracks
 from sugiyama_ros.trajectories.truth import TrueDriver, Truth
 
 TRUTH_TYPE, PARAMETERS_TYPE = "sugiyama_msgs/msg/Truth", "sugiyama_msgs/msg/TrueParameters"
@@ -32,7 +32,7 @@ def truth_message(time_ns: int, vehicle: int, motion: Iterable[float]) -> bytes:
     return _LAYOUT.pack(b"\0\1\0\0", *divmod(time_ns, _NS), len(name), name, vehicle, *motion)
 
 
-def write_simulated(trajectories: Trajectories, truth: Truth, target: Target) -> None:
+def write_simulated(trajectories: DenseTracks, truth: Truth, target: Target) -> None:
     """Write a bag with the topics /road and /measured, and the truth about each vehicle.
 
     Raises InputError, OutputError.

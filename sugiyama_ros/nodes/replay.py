@@ -18,11 +18,10 @@ from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER, PositionSamples
 from sugiyama_ros.nodes.source import Source, TrueTopics, answer
 from sugiyama_ros.road import Road
-from sugiyama_ros.trajectories.dense import whole_road
+from sugiyama_ros.trajectories.dense import DenseTracks, whole_road
 from sugiyama_ros.trajectories.placing import Positions
 from sugiyama_ros.trajectories.time_base import on_time_base, period_of
 from sugiyama_ros.trajectories.tracks import FREE, Tracks
-from sugiyama_ros.trajectories.trajectories import Trajectories
 from sugiyama_ros.trajectories.truth import Truth
 
 # Largest number of a vehicle, which ROS sends in 32 bits.
@@ -34,7 +33,7 @@ class RecordedPositions:
 
     names: Mapping[int, str] = {}
 
-    def __init__(self, trajectories: Trajectories, truth: Truth | None = None) -> None:
+    def __init__(self, trajectories: DenseTracks, truth: Truth | None = None) -> None:
         t, self.truth = trajectories, truth
         self.road, self.period_s, self.start_s, self.steps = t.road, t.period_s, t.start_s, len(t.position_m)
         self.source, self.sha256 = t.source, t.sha256

@@ -18,7 +18,7 @@ from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.node import OK, WARN, Health, PacedNode, message_type
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM, offered
-from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M
+from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M
 
 _POLL_S = 0.2
 

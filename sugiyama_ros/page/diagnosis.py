@@ -10,7 +10,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.files import number, read_json
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 
 _KINDS = {str: "a text", bool: "true or false", dict: "a mapping", list: "a list"}
 _ERROR = re.compile(r"one_step_rmse_m|loglik_per_sample|(free_run|single_car)_\d+(\.\d+)?s(_crps)?_m")
@@ -53,7 +53,7 @@ def read_diagnosis(path: Path) -> dict[str, Any]:
     return document
 
 
-def check_same(document: Mapping[str, Any], name: Path | str, trajectories: Trajectories, bag: Path) -> str:
+def check_same(document: Mapping[str, Any], name: Path | str, trajectories: DenseTracks, bag: Path) -> str:
     """Check that a diagnosis is of the recording in a bag. Raises InputError."""
     about = document.get("data")
     data: Mapping[str, Any] = about if isinstance(about, dict) else {}

@@ -14,7 +14,7 @@ from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.laws.registry import LAWS
 from sugiyama_ros.results import Result, space_time
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure
@@ -57,7 +57,7 @@ class Recording(Result):
 
     Attributes
     ----------
-    trajectories : Trajectories
+    trajectories : DenseTracks
         Measured positions.
     time_s : array (T,)
         Time of each sample [s].
@@ -85,7 +85,7 @@ class Recording(Result):
         Model file that the estimators started from; empty without one.
     """
 
-    trajectories: Trajectories
+    trajectories: DenseTracks
     time_s: Array
     series: dict[str, Array]
     verdict_s: Array
@@ -212,7 +212,7 @@ def preferred(weights: Mapping[str, Array]) -> tuple[str, float]:
 class _Reading:
     """Enters the messages of a bag, one after another."""
 
-    def __init__(self, trajectories: Trajectories) -> None:
+    def __init__(self, trajectories: DenseTracks) -> None:
         self._t = trajectories
         self._column = {int(v): k for k, v in enumerate(trajectories.vehicle)}
         self.series = {name: self._nothing() for name in (*_STATE, "speed_std", *_INNOVATION)}

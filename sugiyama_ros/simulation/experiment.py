@@ -12,7 +12,8 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.result import Simulation
 from sugiyama_ros.simulation.simulator import Clock, Simulator, evenly, platoon, simulate
-from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M, MAX_SAMPLES
+from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M
+from sugiyama_ros.trajectories.dense import MAX_SAMPLES
 
 # Vehicles on a road, at most.
 _MAX_VEHICLES = 100_000

@@ -10,11 +10,10 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.experiment import Experiment, spread_out
 from sugiyama_ros.simulation.simulator import REFERENCE_CLOCK, Clock, Simulator, platoon, simulate
-from sugiyama_ros.trajectories.about import About
+from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M, About
 from sugiyama_ros.trajectories.exchange import of_columns
 from sugiyama_ros.trajectories.labels import labels_of
 from sugiyama_ros.trajectories.tracks import Tracks
-from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M
 
 
 @dataclass(frozen=True, eq=False)

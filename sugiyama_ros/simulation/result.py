@@ -13,9 +13,8 @@ from sugiyama_ros.effects.registry import ROW, active
 from sugiyama_ros.formats.table import write_csv
 from sugiyama_ros.formats.truth import write_simulated
 from sugiyama_ros.results import Result, space_time
-from sugiyama_ros.trajectories.dense import tracks_of
+from sugiyama_ros.trajectories.dense import DenseTracks, tracks_of
 from sugiyama_ros.trajectories.tracks import Tracks
-from sugiyama_ros.trajectories.trajectories import Trajectories
 from sugiyama_ros.trajectories.truth import TrueDriver, Truth
 
 if TYPE_CHECKING:
@@ -37,7 +36,7 @@ class Simulation(Result):
 
     Parameters
     ----------
-    dense : Trajectories
+    dense : DenseTracks
         Positions as a camera would have measured them, as arrays.
     parameters : ndarray, shape (N, width)
         Rows of the drivers at the reference period.
@@ -49,7 +48,7 @@ class Simulation(Result):
         Collisions, in the order of time.
     """
 
-    dense: Trajectories
+    dense: DenseTracks
     parameters: Array
     position_m: Array
     speed: Array

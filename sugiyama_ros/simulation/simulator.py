@@ -17,7 +17,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.drive import Order, Setting, Traffic, Wandering, begin, drive, measure, move, remember, see
 from sugiyama_ros.simulation.result import Collision, Simulation
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 
 
 @dataclass(frozen=True)
@@ -201,7 +201,7 @@ def simulate(simulator: Simulator, duration_s: float, *, stop_at_collision: bool
         if collisions and stop_at_collision:
             break
     return Simulation(
-        dense=Trajectories(
+        dense=DenseTracks(
             position_m=measured[:taken],
             length_m=simulator.length_m,
             vehicle=np.arange(vehicles),

@@ -32,7 +32,7 @@ from sugiyama_ros.filters.update import SETTLING, start_vehicle
 from sugiyama_ros.road import Road
 from sugiyama_ros.studies.rings import CARS, jams
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 
 #: Duration [s] of a simulated run.
 DURATION_S = 250.0
@@ -219,7 +219,7 @@ class _LearningCurve(NamedTuple):
     step_s: float
 
 
-def _follow(job: tuple[Trajectories, int, str, int]) -> _LearningCurve:
+def _follow(job: tuple[DenseTracks, int, str, int]) -> _LearningCurve:
     """Follow one driver: trajectories, column of the driver, name of the filter, seed."""
     trajectories, driver, name, seed = job
     chain = chain_behind(trajectories, driver)

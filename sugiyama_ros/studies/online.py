@@ -13,7 +13,7 @@ from sugiyama_ros.filters.online import OnlineFilter
 from sugiyama_ros.fit.smooth_positions import ESTIMATED
 from sugiyama_ros.studies.rings import CARS, jams
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 
 #: Duration [s] of a simulated run.
 DURATION_S = 250.0
@@ -37,7 +37,7 @@ class _FollowedDriver(NamedTuple):
     changes: list[tuple[float, str]]
 
 
-def followed(job: tuple[Trajectories, int]) -> _FollowedDriver:
+def followed(job: tuple[DenseTracks, int]) -> _FollowedDriver:
     """Run the filter of the estimator nodes on all samples of one driver."""
     trajectories, driver = job
     chain = chain_behind(trajectories, driver)
@@ -99,7 +99,7 @@ def _answer(asked: Asked) -> Answer:
     return Answer(tuple(rows), draw)
 
 
-def _measured(asked: Asked, t: Trajectories) -> Row:
+def _measured(asked: Asked, t: DenseTracks) -> Row:
     """Compare log-likelihoods per sample: predicted online, and of a batch fit of the same samples."""
     density = [one.log_likelihood for one in asked.work.map(followed, [(t, i) for i in range(len(t.vehicle))])]
     scored = int(sum(np.isfinite(d).sum() for d in density))

@@ -16,7 +16,7 @@ from sugiyama_ros.simulation.collective import QUEUE_SPEED, Collective, collecti
 from sugiyama_ros.simulation.experiment import Experiment, carry_out
 from sugiyama_ros.simulation.result import Simulation
 from sugiyama_ros.studies.study import Answer, Asked
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 
 #: The ring and the cars of the experiment, the duration of a run, and its last part, which is evaluated; SI units.
 RING_M, CARS, LENGTH_M, _DURATION_S, _LAST_S = 230.0, 22, 4.33, 500.0, 150.0
@@ -123,7 +123,7 @@ def estimated(asked: Asked, factor: float = FACTOR, full_noise_at: float = 0.0) 
     return rows
 
 
-def ring_of(measured: Trajectories) -> partial[Ring]:
+def ring_of(measured: DenseTracks) -> partial[Ring]:
     """Make what makes runs where measured drivers drive, with their cars; of an open road, on the experiment's ring."""
     return partial(Ring, ring_m=measured.road.circumference_m or RING_M, length_m=measured.length_m)
 

@@ -10,13 +10,13 @@ from sugiyama_ros.filters import paper
 from sugiyama_ros.fit.driver import calibrate
 from sugiyama_ros.studies.rings import CARS, Ring, run
 from sugiyama_ros.studies.study import Answer, Asked, Study
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 
 _STEP, _DURATION_S, _FREE_RING_M = 1e-4, 250.0, 460.0
 _PLACES = [k for k in range(COUNT) if k != RATIONALITY]
 
 
-def _eigenvalues(trajectories: Trajectories) -> Array:
+def _eigenvalues(trajectories: DenseTracks) -> Array:
     """Find the eigenvalues of the Hessian of the log-likelihood at every driver's fit.
 
     Returns (N, 11), eigenvalues in ascending order; the parameters are logarithms.

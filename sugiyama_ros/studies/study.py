@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 
 #: A row of a table: values by the heading of the column.
 Row = Mapping[str, Any]
@@ -18,7 +18,7 @@ class Asked:
 
     Parameters
     ----------
-    trajectories : Trajectories or None
+    trajectories : DenseTracks or None
         Measured drivers, if there are any.
     runs : int
         Number of simulated runs of each case.
@@ -28,13 +28,13 @@ class Asked:
         Workers.
     """
 
-    trajectories: Trajectories | None
+    trajectories: DenseTracks | None
     runs: int
     seed: int
     work: Executor
 
     @property
-    def measured(self) -> Trajectories:
+    def measured(self) -> DenseTracks:
         """The measured drivers. Raises InputError if there are none."""
         if self.trajectories is None:
             raise InputError("study: needs measured drivers; give a FILE of trajectories")

@@ -3,6 +3,8 @@
 from dataclasses import dataclass, replace
 from typing import Literal
 
+#: Length [m] of a vehicle if the file does not give the length: the mean of the paper's Table 1.
+DEFAULT_LENGTH_M = 4.33
 View = Literal["end", "whole"]
 Reference = Literal["centre", "front", "rear"]
 Leaders = Literal["found", "given"]

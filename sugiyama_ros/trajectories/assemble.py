@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
-from sugiyama_ros.trajectories.about import About, Reference
+from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M, About, Reference
 from sugiyama_ros.trajectories.jumps import FASTEST, jumps_noted, wrong_ring
 from sugiyama_ros.trajectories.labels import Labels, labels, labels_of, matched, numbered, same_label
 from sugiyama_ros.trajectories.leaders import (
@@ -22,7 +22,6 @@ from sugiyama_ros.trajectories.leaders import (
 )
 from sugiyama_ros.trajectories.speeds import MOST_OFF, UNITS, Motion, difference
 from sugiyama_ros.trajectories.tracks import NOBODY, TEXTS, UNKNOWN, Tracks, starts
-from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M
 
 Column: TypeAlias = Labels | ArrayLike
 Columns: TypeAlias = Mapping[str, Column]

@@ -8,8 +8,8 @@ from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
 
-#: Two ends of a line that are nearer than this [m] are the same point: the road is a ring.
-CLOSED_M = 1e-3
+# Two ends of a line that are nearer than this [m] are the same point: the road is a ring.
+_CLOSED_M = 1e-3
 # Steps of the search for the foot of a perpendicular; each divides its error by more than ten on any real road.
 _STEPS = 8
 
@@ -32,7 +32,7 @@ class CentreLine:
         self._x, self._y = x_m.astype(np.float64), y_m.astype(np.float64)
         self._s = np.concatenate([[0.0], np.cumsum(step)])
         self.length_m = float(self._s[-1])
-        closed = len(x_m) > 3 and np.hypot(x_m[-1] - x_m[0], y_m[-1] - y_m[0]) < CLOSED_M
+        closed = len(x_m) > 3 and np.hypot(x_m[-1] - x_m[0], y_m[-1] - y_m[0]) < _CLOSED_M
         self.road = Road(self.length_m if closed else 0.0)
         self._angle, self._turn = self._directions(np.unwrap(np.arctan2(step_y, step_x)), step)
 

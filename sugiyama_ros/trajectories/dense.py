@@ -2,10 +2,14 @@
 
 import re
 import shlex
+from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import count
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.errors import InputError
@@ -15,10 +19,11 @@ from sugiyama_ros.trajectories.assemble import Columns, assemble
 from sugiyama_ros.trajectories.jumps import jumps_noted
 from sugiyama_ros.trajectories.labels import Labels, numbered
 from sugiyama_ros.trajectories.leaders import LEAST_AGREEMENT, agreement
-from sugiyama_ros.trajectories.time_base import on_time_base, period_of
+from sugiyama_ros.trajectories.time_base import on_time_base, period_of, regular_time_base
 from sugiyama_ros.trajectories.tracks import UNKNOWN, Tracks
-from sugiyama_ros.trajectories.trajectories import MAX_SAMPLES, Trajectories, regular_time_base
 
+#: Largest number of samples, including missing samples: vehicles times time steps.
+MAX_SAMPLES = 20_000_000
 # A dense table may have so many cells for each row that is there, of at least so many rows.
 _EMPTIEST, _FEW_ROWS = 20, 10_000
 # Share of a vehicle's rows with an unknown leader up to which the vehicle ahead counts as the leader.
@@ -30,7 +35,168 @@ _PRESENT = 0.9
 _NUMBER = re.compile(r"\d{1,9}")
 
 
-def dense(tracks: Tracks, where: str = "") -> Trajectories:
+@dataclass(frozen=True, eq=False, repr=False)
+class DenseTracks:
+    """Positions of N vehicles at T regular times.
+
+    Parameters
+    ----------
+    position_m : ndarray, shape (T, N)
+        Positions [m] of the vehicles' centres, wrapped on a ring; NaN where a sample is missing.
+    length_m : ndarray, shape (N,)
+        Lengths [m] of the vehicles.
+    vehicle : ndarray of int, shape (N,)
+        Numbers of the vehicles, as in their file.
+    road : Road
+        The road.
+    period_s : float
+        Time [s] between two samples.
+    start_s : float
+        Time [s] of the first sample.
+    source, sha256 : str
+        Name and checksum of the file that the positions come from; empty if there is no file.
+
+    Raises
+    ------
+    InputError
+        If the shapes do not fit together, or a value is impossible.
+    """
+
+    position_m: Array
+    length_m: Array
+    vehicle: Ints
+    road: Road
+    period_s: float
+    start_s: float = 0.0
+    source: str = ""
+    sha256: str = ""
+
+    def __post_init__(self) -> None:
+        samples, vehicles = self.position_m.shape
+        if samples < 2 or vehicles < 1:
+            raise InputError(f"{self.source or 'tracks'}: need at least 2 samples of 1 vehicle")
+        if self.length_m.shape != (vehicles,) or self.vehicle.shape != (vehicles,):
+            raise InputError(f"{self.source or 'tracks'}: give one length and one number for each vehicle")
+        if not (self.period_s > 0.0 and np.isfinite(self.period_s)):
+            raise InputError(f"{self.source or 'tracks'}: the time between samples is {self.period_s} s")
+        if len(np.unique(self.vehicle)) != vehicles:
+            raise InputError(f"{self.source or 'tracks'}: a vehicle's number occurs twice")
+        if not (np.all(np.isfinite(self.length_m)) and np.all(self.length_m >= 0.0)):
+            raise InputError(f"{self.source or 'tracks'}: a vehicle's length is negative or not a number")
+
+    def headline(self) -> str:
+        """Say how many vehicles there are, for how long, and on what road."""
+        road = f"a ring of {self.road.circumference_m:g} m" if self.road.is_ring else "an open road"
+        vehicles, samples = len(self.vehicle), len(self.position_m)
+        return (
+            f"{vehicles} vehicles on {road}, {samples} samples of {self.period_s:.4g} s, from {self.source or 'memory'}"
+        )
+
+    @property
+    def time_s(self) -> Array:
+        """Times [s] of the samples, shape (T,)."""
+        return np.asarray(self.start_s + self.period_s * np.arange(len(self.position_m)), dtype=np.float64)
+
+    @property
+    def duration_s(self) -> float:
+        """Time [s] from the first sample to the last."""
+        return self.period_s * (len(self.position_m) - 1)
+
+    @cached_property
+    def present(self) -> NDArray[np.bool_]:
+        """Whether each vehicle is on the road, from its first to its last known sample; shape (T, N)."""
+        known = np.isfinite(self.position_m)
+        seen = np.maximum.accumulate(known, axis=0)
+        to_come = np.maximum.accumulate(known[::-1], axis=0)[::-1]
+        return np.asarray(seen & to_come)
+
+    @cached_property
+    def leader(self) -> Ints:
+        """Column of the vehicle directly ahead on the road, shape (T, N); -1 where there is none.
+
+        The leader of a vehicle is the vehicle that is directly ahead in most samples, so that one bad measurement does
+        not change the leader. Leaders change when a vehicle enters or leaves the road.
+        """
+        leader = np.full(self.position_m.shape, -1, dtype=np.int64)
+        filled = self._filled
+        changes = np.flatnonzero(np.any(self.present[1:] != self.present[:-1], axis=1)) + 1
+        for first, last in zip([0, *changes], [*changes, len(leader)], strict=True):
+            on_road = np.flatnonzero(self.present[first])
+            if len(on_road) > 1:
+                leader[first:last, on_road] = _leaders(filled[first:last][:, on_road], on_road, self.road)
+        return leader
+
+    def around(self, drivers: Sequence[int], ahead: int) -> "DenseTracks":
+        """Return the part of the recording that some drivers see: these drivers first, then those who drive ahead.
+
+        Parameters
+        ----------
+        drivers : sequence of int
+            Columns of the drivers.
+        ahead : int
+            How many vehicles ahead of each driver belong to the part. They keep their leaders within the part.
+        """
+        near = np.asarray(drivers)
+        seen = near.tolist()
+        for _ in range(ahead):
+            near = np.unique(self.leader[:, near])
+            near = near[near >= 0]
+            seen += near.tolist()
+        columns = np.array(list(dict.fromkeys(seen)))
+        place = np.full(len(self.vehicle) + 1, -1)  # the last entry is that of nobody, -1
+        place[columns] = np.arange(len(columns))
+        part = replace(
+            self,
+            position_m=self.position_m[:, columns],
+            length_m=self.length_m[columns],
+            vehicle=self.vehicle[columns],
+        )
+        part.__dict__["leader"] = place[self.leader[:, columns]]  # found among all vehicles
+        return part
+
+    @cached_property
+    def follower(self) -> Ints:
+        """(T, N): index of the vehicle whose leader is the vehicle of this column, -1 where there is none.
+
+        The first of several vehicles with the same leader counts. The table is made once for all drivers.
+        """
+        vehicles = self.leader.shape[1]
+        follower = np.empty(self.leader.shape, dtype=np.int64)
+        for behind, leader, present in zip(follower, self.leader, self.present, strict=True):
+            followers = np.flatnonzero((leader >= 0) & present)
+            first = np.full(vehicles, vehicles)
+            np.minimum.at(first, leader[followers], followers)
+            behind[:] = np.where(first < vehicles, first, -1)
+        return follower
+
+    @property
+    def _filled(self) -> Array:
+        """Continuous positions [m], with straight lines in place of missing samples; shape (T, N)."""
+        filled = self.road.unwrap(self.position_m).copy()
+        ticks = np.arange(len(filled))
+        for column in filled.T:
+            known = np.isfinite(column)
+            if known.any():
+                column[:] = np.interp(ticks, ticks[known], column[known])
+        return filled
+
+
+def _leaders(position_m: Array, number: Ints, road: Road) -> Ints:
+    """Find the most common leader of each vehicle in ``position_m`` (T, n), as entries of ``number`` (n,) or -1."""
+    order = np.argsort(road.wrap(position_m), axis=1, kind="stable")
+    ahead = np.empty_like(order)
+    np.put_along_axis(ahead, order, np.roll(order, -1, axis=1), axis=1)
+    if not road.is_ring:
+        np.put_along_axis(ahead, order[:, -1:], -1, axis=1)
+    found = np.empty(len(number), dtype=np.int64)
+    for k, votes in enumerate(ahead.T):
+        candidates, count = np.unique(votes, return_counts=True)
+        winner = candidates[np.argmax(count)]
+        found[k] = number[winner] if winner >= 0 else -1
+    return found
+
+
+def dense(tracks: Tracks, where: str = "") -> DenseTracks:
     """Put tracks of one lane into a dense table; ``where``: name of the file for messages. Raises InputError."""
     where = where or tracks.about.source or "tracks"
     for column, many, option in (
@@ -52,7 +218,7 @@ def dense(tracks: Tracks, where: str = "") -> Trajectories:
     position = np.full((samples, regular.runs), np.nan)
     position[step, regular.run] = regular.s_m
     road = Road(regular.about.ring_m)
-    found = Trajectories(
+    found = DenseTracks(
         position_m=road.wrap(position),
         length_m=regular.length_m[regular.start[:-1]],
         vehicle=numbers_of(regular),
@@ -67,7 +233,7 @@ def dense(tracks: Tracks, where: str = "") -> Trajectories:
     return found
 
 
-def whole_road(tracks: Tracks) -> Trajectories | None:
+def whole_road(tracks: Tracks) -> DenseTracks | None:
     """Tracks as a dense table, if they are one lane on which everybody is recorded nearly all the time.
 
     Raises InputError if everybody was in view on one lane, but vehicles jump or drive through one another.
@@ -137,7 +303,7 @@ def numbers_of(tracks: Tracks) -> Ints:
     return np.array([number if number >= 0 else next(free) for number in numbers], dtype=np.int64)
 
 
-def _check_leaders(tracks: Tracks, road: Trajectories, step: Ints, where: str) -> None:
+def _check_leaders(tracks: Tracks, road: DenseTracks, step: Ints, where: str) -> None:
     """Refuse tracks in which the vehicle ahead in the dense table is not the leader."""
     column = road.leader[step, tracks.run]
     ahead = np.where(tracks.leader_row >= 0, tracks.run[np.maximum(tracks.leader_row, 0)], tracks.leader_row)
@@ -169,7 +335,7 @@ def _cure(tracks: Tracks, part: Array) -> str:
     return cure
 
 
-def _check_order(road: Trajectories, where: str) -> None:
+def _check_order(road: DenseTracks, where: str) -> None:
     """Refuse vehicles on an open road that drive through one another."""
     if road.road.is_ring or len(road.position_m) < _ENOUGH_SAMPLES:
         return
@@ -185,7 +351,7 @@ def _check_order(road: Trajectories, where: str) -> None:
         )
 
 
-def tracks_of(road: Trajectories) -> Tracks:
+def tracks_of(road: DenseTracks) -> Tracks:
     """A dense table as tracks of one lane on which everybody is in view."""
     step, column = np.nonzero(np.isfinite(road.position_m))
     about = About(

@@ -7,12 +7,12 @@ from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.tracks import Tracks
 
 #: Speed [m/s] and way [m] between two samples beyond which a vehicle has jumped.
-FASTEST, FARTHEST_M = 100.0, 30.0
+FASTEST, _FARTHEST_M = 100.0, 30.0
 
 
 def _jumps(step_m: Array, step_s: Array) -> Ints:
     """Numbers of the steps, of ways [m] and times [s] (S,), that are jumps."""
-    return np.flatnonzero((np.abs(step_m) > FARTHEST_M) & (np.abs(step_m) > FASTEST * step_s))
+    return np.flatnonzero((np.abs(step_m) > _FARTHEST_M) & (np.abs(step_m) > FASTEST * step_s))
 
 
 def jumps_noted(tracks: Tracks) -> str:

@@ -18,7 +18,7 @@ class Labels:
     """A column of text.
 
     code: (R,), place of each row's text in ``text``; -1 where the text is missing; text: the texts, each once, in their
-    natural order (2 before 10).
+    _natural order (2 before 10).
     """
 
     code: NDArray[np.int32]
@@ -48,7 +48,7 @@ class Labels:
         return self.text.index(text) if text in self.text else -1
 
 
-def natural(text: str) -> tuple[tuple[int, int, str], ...]:
+def _natural(text: str) -> tuple[tuple[int, int, str], ...]:
     """A key that sorts texts with numbers in them by these numbers."""
     return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part) for part in _DIGITS.split(text) if part)
 
@@ -59,7 +59,7 @@ def labels(code: NDArray[np.integer], text: Iterable[str]) -> Labels:
     code: (R,), place of each row's text; -1 where it is missing.
     """
     texts = list(text)
-    ordered = sorted(set(texts), key=lambda one: (natural(one), one))
+    ordered = sorted(set(texts), key=lambda one: (_natural(one), one))
     place = {one: number for number, one in enumerate(ordered)}
     move = np.array([place[one] for one in texts] + [-1], dtype=np.int32)
     return Labels(move[code], tuple(ordered))

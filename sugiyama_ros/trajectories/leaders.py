@@ -15,8 +15,8 @@ TICK_S = 1e-3
 #: Positions between two samples of a vehicle, at most (a GB). More are there only where vehicles do not share their
 #: times; leaders are found again when the tracks have been brought to a time base.
 MOST_UNSEEN = 10_000_000
-#: Share of rows that may have a gap below zero, and share of given leaders that must be found again.
-MOST_NEGATIVE, LEAST_AGREEMENT = 0.005, 0.98
+# Share of rows that may have a gap below zero, and share of given leaders that must be found again.
+_MOST_NEGATIVE, LEAST_AGREEMENT = 0.005, 0.98
 
 
 def ticks(time_s: Array) -> Ints:
@@ -175,7 +175,7 @@ def check_gaps(tracks: Tracks) -> str:
     gap = gaps(tracks)
     followed = int(np.isfinite(gap).sum())
     negative = np.flatnonzero(gap < 0.0)
-    if followed == 0 or len(negative) <= MOST_NEGATIVE * followed:
+    if followed == 0 or len(negative) <= _MOST_NEGATIVE * followed:
         return ""
     _check_room(tracks)
     row = int(negative[np.argmin(gap[negative])])
@@ -208,10 +208,10 @@ def _cure(tracks: Tracks, gap: Array, followed: int) -> str:
     half = 0.5 * (tracks.length_m[ahead] - tracks.length_m)
     for reference, shift in (("front", -half), ("rear", half)):
         # Centres that are front bumpers in truth lie half a length further back.
-        if np.sum(gap + shift < 0.0) <= MOST_NEGATIVE * followed:
+        if np.sum(gap + shift < 0.0) <= _MOST_NEGATIVE * followed:
             return f"positions look like {reference} bumpers; give --reference {reference}"
     overlaps = (gap < 0.0) & (gap >= -0.5 * (tracks.length_m[ahead] + tracks.length_m))
-    if tracks.about.ring_m == 0.0 and np.sum(overlaps) <= MOST_NEGATIVE * followed:
+    if tracks.about.ring_m == 0.0 and np.sum(overlaps) <= _MOST_NEGATIVE * followed:
         return "leaders are behind their followers, as on a ring; convert it with --ring METRES"
     if tracks.lane is None:
         return (

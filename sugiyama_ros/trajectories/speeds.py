@@ -8,7 +8,7 @@ from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.road import Road
 
 #: Part by which the ways of positions and of speeds may differ, and way [m] from which on this is judged.
-MOST_OFF, LEAST_WAY_M = 0.1, 10.0
+MOST_OFF, _LEAST_WAY_M = 0.1, 10.0
 # A vehicle that is away for longer [s] tells no speed.
 _LONGEST_STEP_S = 2.0
 #: Units of a speed whose unit is not known [m/s]: m/s, km/h, miles/h and feet/s.
@@ -52,7 +52,7 @@ def difference(motion: Motion, ring_m: float, unit: float = 1.0) -> OffSpeeds | 
     ways = np.abs(np.bincount(piece, weights=way[known]))
     told = np.bincount(piece, weights=by_speed[known])
     total, seconds = float(max(told.sum(), ways.sum())), float(step_s[known].sum())
-    if total < LEAST_WAY_M or seconds <= 0.0:
+    if total < _LEAST_WAY_M or seconds <= 0.0:
         return None
     off = float(np.abs(ways - told).sum())
     return OffSpeeds(off / total, float(ways.sum()) / seconds, float(told.sum()) / seconds)

@@ -13,9 +13,9 @@ from sugiyama_ros.trajectories.leaders import RowIndex, ticks
 from sugiyama_ros.trajectories.time_base import LONGEST_HOLE_S, on_time_base, period_of, pieces
 from sugiyama_ros.trajectories.tracks import FREE, UNKNOWN, Tracks
 
-#: Shortest stretch [s]; leaders and lanes that last for less than `FLICKER_S` [s] are ignored; samples within
-#: `AROUND_CHANGE_S` [s] of a driver's own lane change are not scored.
-SHORTEST_STRETCH_S, FLICKER_S, AROUND_CHANGE_S = 5.0, 1.0, 2.0
+# Shortest stretch [s]; leaders and lanes that last for less than `_FLICKER_S` [s] are ignored; samples within
+# `_AROUND_CHANGE_S` [s] of a driver's own lane change are not scored.
+_SHORTEST_STRETCH_S, _FLICKER_S, _AROUND_CHANGE_S = 5.0, 1.0, 2.0
 # Part of a stretch in which the leader's leader must be known, for the rest to be left out.
 _MOST = 0.8
 
@@ -52,7 +52,7 @@ class Stretch:
         return self.period_s * (len(self.position_m) - 1)
 
 
-def stretches(tracks: Tracks, shortest_s: float = SHORTEST_STRETCH_S) -> Iterator[Stretch]:
+def stretches(tracks: Tracks, shortest_s: float = _SHORTEST_STRETCH_S) -> Iterator[Stretch]:
     """Cut tracks into stretches.
 
     A hole of more than 0.5 s ends a stretch, and so do another road and a leader who is unknown for a second or more:
@@ -76,7 +76,7 @@ class _Cutter:
         self._run, self._tick = tracks.run, ticks(tracks.time_s)
         self._index = RowIndex(tracks)
         self._per_step = self._period_s * 1000.0
-        self._flicker = round(FLICKER_S / self._period_s)
+        self._flicker = round(_FLICKER_S / self._period_s)
         self._follower = np.full(len(tracks), -1, dtype=np.int64)
         led = np.flatnonzero(tracks.leader_row >= 0)
         self._follower[tracks.leader_row[led]] = led
@@ -163,7 +163,7 @@ class _Cutter:
             return np.ones(len(own), dtype=bool)
         code = _without_flicker(_held(lane.code[own].astype(np.int64), own < 0), self._flicker)
         near = np.zeros(len(own), dtype=bool)
-        around = round(AROUND_CHANGE_S / self._period_s)
+        around = round(_AROUND_CHANGE_S / self._period_s)
         for change in (np.flatnonzero(np.diff(code) != 0) + 1).tolist():
             near[max(0, change - around) : change + around] = True
         return ~near

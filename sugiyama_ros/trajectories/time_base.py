@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 
@@ -13,11 +14,12 @@ from sugiyama_ros.trajectories.labels import Labels
 from sugiyama_ros.trajectories.leaders import TICK_S, check_gaps, given_leaders, ticks
 from sugiyama_ros.trajectories.tracks import NUMBERS, TEXTS, Tracks, starts
 
+_RESAMPLE = "sugiyama convert FILE even.parquet --period SECONDS"
 #: A hole [s] up to which positions are interpolated; a longer hole ends a stretch.
 LONGEST_HOLE_S = 0.5
-#: Tracks that are sampled more often than this [s] are brought to `USUAL_S`.
-SHORTEST_S, USUAL_S = 0.06, 0.1
-#: Part of a period by which a step may miss a multiple of the period.
+# Tracks that are sampled more often than this [s] are brought to `_USUAL_S`.
+_SHORTEST_S, _USUAL_S = 0.06, 0.1
+# Part of a period by which a step may miss a multiple of the period.
 _JITTER = 0.1
 # Share of the steps that may miss it, and number of distinct times over the number expected.
 _MISSES, _DISTINCT = 0.01, 1.2
@@ -55,6 +57,67 @@ def _are_multiples(step: Array, period_s: float) -> bool:
     """Whether steps [s] are multiples of a period, but for a few."""
     miss = np.abs(step - np.maximum(np.round(step / period_s), 1.0) * period_s)
     return bool(np.mean(miss > _JITTER * period_s + TICK_S * 1.01) <= _MISSES)
+
+
+def regular_time_base(time_s: Array, where: str) -> tuple[float, float, Ints]:
+    """Find the regular time base of times that may be rounded and may skip samples.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+        Strictly increasing times [s].
+    where : str
+        Name of the times in an error message.
+
+    Returns
+    -------
+    start_s, period_s : float
+        Time [s] of the first sample, and time [s] between two samples.
+    number : ndarray of int, shape (n,)
+        Number of each sample on the time base, from 0.
+
+    Raises
+    ------
+    InputError
+        If there are too few times, or if they do not lie on a regular time base.
+    """
+    if len(time_s) < 2:
+        raise InputError(f"{where}: only one time; need at least two samples")
+    # A skipped sample makes a step larger, never smaller. So the lower quartile of the steps is the period, up to
+    # rounding.
+    step = np.diff(time_s)
+    period = float(np.median(step[step <= 1.5 * np.quantile(step, 0.25)]))
+    number = np.concatenate(([0], np.cumsum(np.round(step / period).astype(np.int64))))
+    if number[-1] >= 2 * len(time_s):
+        raise InputError(
+            f"{where}: {len(time_s)} times are there; {number[-1] + 1} are expected at steps of {period:.4g} s;"
+            f" resample: {_RESAMPLE}"
+        )
+    if len(time_s) > 2:
+        period, start = (float(c) for c in np.polyfit(number, time_s, 1))
+    else:
+        start = float(time_s[0])
+    off = np.abs(time_s - (start + period * number))
+    worst = int(np.argmax(off))
+    if off[worst] > 0.1 * period:
+        raise InputError(
+            f"{where}: time {time_s[worst]:g} s lies {off[worst]:.3g} s off the regular time base of {period:.4g} s;"
+            f" resample: {_RESAMPLE}"
+        )
+    # The first time is the start. The start of the fitted line may lie before 0, where nothing can be recorded.
+    return float(time_s[0]), _unrounded(time_s, number, period), number
+
+
+def _unrounded(time_s: Array, number: Ints, period: float) -> float:
+    """Guess the period [s] before the times were rounded: a simple number, if it explains all times."""
+    fraction = float(Fraction(period).limit_denominator(100))
+    noise = 8.0 * float(np.spacing(np.abs(time_s).max()))
+    # The largest number of digits after the point in any time tells how far rounding may have moved the times.
+    digits = next((d for d in range(9) if np.all(np.abs(time_s - np.round(time_s, d)) <= noise)), 9)
+    for simple, moved in ((fraction, noise), (round(period, 9), noise), (fraction, 0.5 * 10.0**-digits + noise)):
+        if simple > 0.0 and np.ptp(time_s - simple * number) <= 2.0 * moved:
+            return simple
+    return period
 
 
 def is_regular(tracks: Tracks) -> bool:
@@ -96,8 +159,8 @@ def on_time_base(tracks: Tracks, period_s: float | None = None) -> Tracks:
     if period_s is not None and not 0.001 <= period_s <= 60.0:
         raise InputError(f"period: {period_s:g} s cannot be used; give 0.001 to 60 s")
     own, regular = period_of(tracks), is_regular(tracks)
-    wanted = period_s or (USUAL_S if own < SHORTEST_S or 0.07 < own < 0.15 else round(own, 2) or own)
-    if regular and (math.isclose(wanted, own, rel_tol=1e-6) or (period_s is None and own >= SHORTEST_S)):
+    wanted = period_s or (_USUAL_S if own < _SHORTEST_S or 0.07 < own < 0.15 else round(own, 2) or own)
+    if regular and (math.isclose(wanted, own, rel_tol=1e-6) or (period_s is None and own >= _SHORTEST_S)):
         return tracks
     return resample(tracks, wanted)
 

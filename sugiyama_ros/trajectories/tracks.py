@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure, SubFigure
 
-    from sugiyama_ros.trajectories.trajectories import Trajectories
+    from sugiyama_ros.trajectories.dense import DenseTracks
 
 #: Leader of a driver whom nobody is ahead of, and of a driver whose leader is not in the table.
 FREE, UNKNOWN = -1, -2
 #: Names of the columns of text and of numbers, in the order of a file.
 TEXTS = ("recording", "vehicle", "road", "lane", "class", "driver")
 NUMBERS = ("time_s", "s_m", "d_m", "length_m", "width_m")
-REQUIRED = ("recording", "vehicle", "time_s", "s_m")
+_REQUIRED = ("recording", "vehicle", "time_s", "s_m")
 #: What the column ``leader`` of a file says where nobody is ahead. It is empty where the leader is not known.
 NOBODY = "free"
 
@@ -127,7 +127,7 @@ class Tracks(Result):
     def columns(self) -> tuple[str, ...]:
         """Names of the columns that are there, as in files."""
         optional = ("road", "lane", "d_m", "length_m", "width_m", "class", "driver", "leader", "measured")
-        return (*REQUIRED, *(name for name in optional if self.column(name) is not None))
+        return (*_REQUIRED, *(name for name in optional if self.column(name) is not None))
 
     def select(self, rows: Mask) -> "Tracks":
         """Keep some of the rows; a leader who is left out is unknown from then on, and not everybody is in view.
@@ -152,7 +152,7 @@ class Tracks(Result):
         about = replace(self.about, view="end") if lost else self.about
         return replace(self, **kept, leader_row=leader_row, start=start, about=about)  # type: ignore[arg-type]
 
-    def dense(self, where: str = "") -> "Trajectories":
+    def dense(self, where: str = "") -> "DenseTracks":
         """Return the positions as arrays with a row for each time and a column for each vehicle.
 
         Parameters
@@ -162,7 +162,7 @@ class Tracks(Result):
 
         Returns
         -------
-        Trajectories
+        DenseTracks
             Positions (T, N) of N vehicles at T regular times; NaN where a vehicle has no row.
 
         Raises

@@ -9,11 +9,11 @@ import diagnoses
 import numpy as np
 
 from sugiyama_ros.driver.parameters import PARAMETERS
-from sugiyama_ros.formats.convert import write_trajectories
+from sugiyama_ros.formats.convert import write_bag
 from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.road import Road
+from sugiyama_ros.trajectories.dense import DenseTracks
 from sugiyama_ros.trajectories.exchange import write_parquet
-from sugiyama_ros.trajectories.trajectories import Trajectories
 
 SAMPLES, PERIOD_S, SPEED, AHEAD_M = 70, 0.1, 10.0, 20.0
 #: Number, lane and leader of each vehicle.
@@ -154,7 +154,7 @@ TEXTS = {
 def bag() -> bytes:
     """A bag with the positions of three vehicles on a ring."""
     position = np.array([[100.0 - AHEAD_M * k + i for k in range(3)] for i in range(30)]) % 230.0
-    given = Trajectories(
+    given = DenseTracks(
         position_m=position,
         length_m=np.full(3, 4.5),
         vehicle=np.arange(3),
@@ -166,7 +166,7 @@ def bag() -> bytes:
     )
     with TemporaryDirectory() as folder:
         path = Path(folder, "a.mcap")
-        write_trajectories(given, path)
+        write_bag(given, path)
         return path.read_bytes()
 
 

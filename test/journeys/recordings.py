@@ -11,7 +11,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import sugiyama_ros as sg
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 
 FOOT_M = 0.3048
 
@@ -19,12 +19,12 @@ FOOT_M = 0.3048
 @cache
 def drivers(
     vehicles: int = 4, ring_m: float = 45.0, duration_s: float = 60.0, seed: int = 1, **settings: float
-) -> Trajectories:
+) -> DenseTracks:
     """What a camera measures of simulated drivers."""
     return sg.simulate(vehicles, ring_m=ring_m, duration_s=duration_s, seed=seed, **settings).dense
 
 
-def table(measured: Trajectories) -> pd.DataFrame:
+def table(measured: DenseTracks) -> pd.DataFrame:
     """A row for each time and vehicle."""
     steps, vehicles = measured.position_m.shape
     return pd.DataFrame(

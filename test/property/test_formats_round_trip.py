@@ -1,4 +1,4 @@
-"""Trajectories that are written to CSV files and bags come back unchanged."""
+"""Positions that are written to CSV files and bags come back unchanged."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -9,15 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sugiyama_ros.formats.choices import Choices
-from sugiyama_ros.formats.convert import write_trajectories
+from sugiyama_ros.formats.convert import write_bag
 from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.formats.table import write_csv
 from sugiyama_ros.road import Road
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 
 
 @st.composite
-def some_trajectories(draw: st.DrawFn) -> Trajectories:
+def some_trajectories(draw: st.DrawFn) -> DenseTracks:
     """A few vehicles that come and go at up to 42 m/s, with samples missing in between."""
     steps, vehicles = draw(st.integers(2, 12)), draw(st.integers(1, 4))
     random = np.random.default_rng(draw(st.integers(0, 1 << 32)))
@@ -29,7 +29,7 @@ def some_trajectories(draw: st.DrawFn) -> Trajectories:
     # Each vehicle is seen at least once, and the first vehicle always: a time without any sample is not written.
     position[:, 0] = road.wrap(start[0] + period_s * np.arange(steps))
     position[0, :] = road.wrap(start)
-    return Trajectories(
+    return DenseTracks(
         position_m=position,
         length_m=random.uniform(3.0, 20.0, vehicles),
         vehicle=random.permutation(50)[:vehicles],
@@ -41,7 +41,7 @@ def some_trajectories(draw: st.DrawFn) -> Trajectories:
     )
 
 
-def same(back: Trajectories, given: Trajectories) -> None:
+def same(back: DenseTracks, given: DenseTracks) -> None:
     order = np.argsort(given.vehicle)
     np.testing.assert_array_equal(back.vehicle, given.vehicle[order])
     np.testing.assert_array_equal(back.length_m, given.length_m[order])
@@ -52,11 +52,11 @@ def same(back: Trajectories, given: Trajectories) -> None:
 
 @settings(deadline=None, max_examples=50)
 @given(some_trajectories())
-def test_bag(trajectories: Trajectories) -> None:
+def test_bag(trajectories: DenseTracks) -> None:
     given = replace(trajectories, position_m=trajectories.position_m.copy())
     with TemporaryDirectory() as folder:
         path = Path(folder, "a.mcap")
-        write_trajectories(trajectories, path)
+        write_bag(trajectories, path)
         back = read_tracks(path).dense()
         assert list(Path(folder).iterdir()) == [path]
     same(back, given)
@@ -66,7 +66,7 @@ def test_bag(trajectories: Trajectories) -> None:
 
 @settings(deadline=None, max_examples=50)
 @given(some_trajectories())
-def test_csv(trajectories: Trajectories) -> None:
+def test_csv(trajectories: DenseTracks) -> None:
     with TemporaryDirectory() as folder:
         path = Path(folder, "a.csv")
         write_csv(trajectories, path)

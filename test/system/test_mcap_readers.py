@@ -8,13 +8,13 @@ import pytest
 from mcap.reader import SeekingReader, make_reader
 
 from sugiyama_ros.formats.cdr import Encoder, decoder, plain
-from sugiyama_ros.formats.convert import write_trajectories
+from sugiyama_ros.formats.convert import write_bag
 from sugiyama_ros.formats.definitions import full_text
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.mcap_writer import BagWriter, Qos
 from sugiyama_ros.formats.measured import MEASURED_TYPE, ROAD_TYPE, messages
 from sugiyama_ros.road import Road
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 
 TYPES = [
     *(f"sugiyama_msgs/msg/{name}" for name in ("DriverParameters", "Innovation", "MeasuredPositions", "Progress")),
@@ -25,18 +25,18 @@ TYPES = [
 ]
 
 
-def trajectories() -> Trajectories:
+def trajectories() -> DenseTracks:
     """Three vehicles on an open road, with a missing sample. One vehicle appears late."""
     position = np.arange(600.0)[:, None] * 2.0 + np.array([0.0, 30.0, 60.0])
     position[:100, 1] = np.nan
     position[200, 2] = np.nan
-    return Trajectories(position, np.array([3.0, 4.0, 5.0]), np.array([4, 5, 6]), Road(), 0.1, 0.0, "a.csv", "00")
+    return DenseTracks(position, np.array([3.0, 4.0, 5.0]), np.array([4, 5, 6]), Road(), 0.1, 0.0, "a.csv", "00")
 
 
 @pytest.fixture
 def bag(tmp_path: Path) -> Path:
     path = tmp_path / "a.mcap"
-    write_trajectories(trajectories(), path)
+    write_bag(trajectories(), path)
     return path
 
 

@@ -21,7 +21,7 @@ import pytest
 from sugiyama_ros.errors import OutputError
 from sugiyama_ros.files import Output, Target, output_of, writing
 from sugiyama_ros.filters.online import Learnt
-from sugiyama_ros.formats.convert import write_trajectories
+from sugiyama_ros.formats.convert import write_bag
 from sugiyama_ros.formats.fetch import CATALOGUE, fetch
 from sugiyama_ros.formats.mcap_reader import METADATA, Bag, bag_files
 from sugiyama_ros.formats.mcap_writer import FolderWriter, Qos
@@ -30,8 +30,7 @@ from sugiyama_ros.formats.recover import recover
 from sugiyama_ros.formats.tracks_parquet import write_tracks
 from sugiyama_ros.nodes.keeper import Kept, write_learnt
 from sugiyama_ros.road import Road
-from sugiyama_ros.trajectories.dense import tracks_of
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks, tracks_of
 
 OLD = b"old, and whole"
 PACKAGE = Path(__file__).parents[2] / "sugiyama_ros"
@@ -45,9 +44,9 @@ OTHERS = {
 }
 
 
-def ring(steps: int = 200) -> Trajectories:
+def ring(steps: int = 200) -> DenseTracks:
     position = np.arange(steps)[:, None] * 0.5 + np.array([0.0, 30.0, 60.0])
-    return Trajectories(position % 100.0, np.full(3, 4.5), np.arange(3), Road(100.0), 0.5, 0.0, "model", "ab")
+    return DenseTracks(position % 100.0, np.full(3, 4.5), np.arange(3), Road(100.0), 0.5, 0.0, "model", "ab")
 
 
 KEPT = Kept(Learnt(("v_star",), np.array([2.0]), np.array([[0.1]])), 5)
@@ -126,7 +125,7 @@ def recovered(target: Target) -> None:
     """Recover a bag, which is beside the target."""
     source = output_of(target).path.with_name("source.mcap")
     if not source.exists():
-        write_trajectories(ring(30), source)
+        write_bag(ring(30), source)
     recover(source, target)
 
 
@@ -138,7 +137,7 @@ def plain(target: Target) -> None:
 #: The kinds of files: all others are written as the plain one is.
 WRITERS: dict[str, Callable[[Target], object]] = {
     "plain": plain,
-    "bag": lambda target: write_trajectories(ring(), target),
+    "bag": lambda target: write_bag(ring(), target),
     "parquet": lambda target: write_tracks(tracks_of(ring(20)), target),
     "state": lambda target: write_learnt(output_of(target).path, KEPT),
     "recover": recovered,

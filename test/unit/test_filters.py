@@ -34,7 +34,7 @@ from sugiyama_ros.filters.online import ADAPT, OnlineFilter
 from sugiyama_ros.filters.state import LAST_RHO, LAST_SHOCK_STD
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 
 DT = 1.0 / 3.0
 
@@ -51,7 +51,7 @@ def with_holes(jam):
     position = jam.dense.position_m.copy()
     position[np.random.default_rng(5).random(position.shape) < 0.1] = np.nan
     m = jam.dense
-    return Trajectories(position, m.length_m, m.vehicle, m.road, m.period_s)
+    return DenseTracks(position, m.length_m, m.vehicle, m.road, m.period_s)
 
 
 def dense_posterior(z, phi, controls, q, start_mean, start_cov, noise_var):
@@ -182,7 +182,7 @@ def test_the_online_filter_starts_anew_after_a_reset(jam):
 
 def test_nothing_depends_on_where_the_ring_begins(jam):
     m = jam.dense
-    shifted = Trajectories(m.road.wrap(m.position_m + 100.0), m.length_m, m.vehicle, m.road, m.period_s)
+    shifted = DenseTracks(m.road.wrap(m.position_m + 100.0), m.length_m, m.vehicle, m.road, m.period_s)
     for driver in (0, 11):
         values = [log_likelihood(chain_behind(t, driver), defaults()) for t in (m, shifted)]
         assert values[0] == pytest.approx(values[1], abs=1e-6)
@@ -193,7 +193,7 @@ def test_nothing_depends_on_where_the_ring_begins(jam):
 def test_nothing_depends_on_the_vehicles_names(jam):
     m = jam.dense
     order = np.random.default_rng(0).permutation(22)
-    renamed = Trajectories(m.position_m[:, order], m.length_m[order], np.arange(22) + 100, m.road, m.period_s)
+    renamed = DenseTracks(m.position_m[:, order], m.length_m[order], np.arange(22) + 100, m.road, m.period_s)
     new = int(np.flatnonzero(order == 5)[0])
     assert log_likelihood(chain_behind(renamed, new), defaults()) == pytest.approx(
         log_likelihood(chain_behind(m, 5), defaults()), abs=1e-9
@@ -265,7 +265,7 @@ def test_smoothing_is_the_smoothing_of_section_2_3():
 def test_the_papers_formulation_refuses_missing_and_too_few_samples(with_holes):
     with pytest.raises(InputError, match="a sample is missing"):
         paper.perceive(with_holes, 0)
-    short = Trajectories(np.zeros((7, 1)), np.ones(1), np.zeros(1, int), Road(), DT)
+    short = DenseTracks(np.zeros((7, 1)), np.ones(1), np.zeros(1, int), Road(), DT)
     with pytest.raises(InputError, match="too few"):
         paper.perceive(short, 0)
 

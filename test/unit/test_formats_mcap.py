@@ -22,7 +22,7 @@ from mcap.writer import CompressionType, Writer
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.cdr import Encoder
 from sugiyama_ros.formats.choices import Choices
-from sugiyama_ros.formats.convert import write_trajectories
+from sugiyama_ros.formats.convert import write_bag
 from sugiyama_ros.formats.definitions import full_text
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.mcap_records import MAGIC, RecordFile, Segment, merged
@@ -30,7 +30,7 @@ from sugiyama_ros.formats.mcap_writer import BagWriter
 from sugiyama_ros.formats.recover import recover
 from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.road import Road
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 
 INNOVATION = "sugiyama_msgs/msg/Innovation"
 HEADER = "std_msgs/msg/Header"
@@ -60,9 +60,9 @@ def bag_of(path: Path, count: int, **changes: object) -> Path:
     return path
 
 
-def ring(steps: int = 20) -> Trajectories:
+def ring(steps: int = 20) -> DenseTracks:
     position = (np.arange(steps)[:, None] * 2.0 + np.array([0.0, 30.0, 60.0])) % 100.0
-    return Trajectories(position, np.array([3.0, 4.0, 5.0]), np.array([4, 5, 6]), Road(100.0), 0.25, 1.5, "model", "ab")
+    return DenseTracks(position, np.array([3.0, 4.0, 5.0]), np.array([4, 5, 6]), Road(100.0), 0.25, 1.5, "model", "ab")
 
 
 def refused(path: Path, act: Callable[[Path], object] = read_tracks) -> str:
@@ -168,7 +168,7 @@ def test_disk_full(tmp_path: Path) -> None:
 
 def test_trajectories_come_back_from_any_namespace(tmp_path: Path) -> None:
     given = ring()
-    write_trajectories(given, tmp_path / "a.mcap")
+    write_bag(given, tmp_path / "a.mcap")
     renamed(tmp_path / "a.mcap", tmp_path / "b.mcap", lambda topic: "/experiment" + topic)
     back = read_tracks(tmp_path / "b.mcap", Choices(ring_m=100.0)).dense()
     np.testing.assert_array_equal(back.position_m, given.position_m)

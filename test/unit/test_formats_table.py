@@ -12,10 +12,10 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices, read_choices
 from sugiyama_ros.formats.registry import format_of, read_tracks
 from sugiyama_ros.formats.tracks_parquet import write_tracks
+from sugiyama_ros.trajectories.dense import DenseTracks
 from sugiyama_ros.trajectories.exchange import KEY
 from sugiyama_ros.trajectories.time_base import is_regular, period_of
 from sugiyama_ros.trajectories.tracks import Tracks
-from sugiyama_ros.trajectories.trajectories import Trajectories
 
 HEADER = ("time_s", "vehicle", "position_m", "length_m")
 Cells = Callable[[int, int, float, float], tuple[object, ...]]
@@ -34,7 +34,7 @@ def table(cells: Cells = plain, separator: str = ",", vehicles: int = 3, header:
     return "\n".join(lines) + "\n"
 
 
-def both(path: Path, content: str) -> tuple[Tracks, Trajectories]:
+def both(path: Path, content: str) -> tuple[Tracks, DenseTracks]:
     path.write_text(content)
     return read_tracks(path), read_tracks(path).dense()
 

@@ -10,8 +10,9 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.road import Road
-from sugiyama_ros.trajectories.dense import whole_road
-from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M, Trajectories, regular_time_base
+from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M
+from sugiyama_ros.trajectories.dense import DenseTracks, whole_road
+from sugiyama_ros.trajectories.time_base import regular_time_base
 
 MSTF = """# Some experiment
 #   Total number of car is 2 and circuit length is 100m.
@@ -42,7 +43,7 @@ def one_line(error: BaseException) -> str:
     return text
 
 
-def read(tmp_path: Path, name: str, content: str | bytes, ring_m: float | None = None) -> Trajectories:
+def read(tmp_path: Path, name: str, content: str | bytes, ring_m: float | None = None) -> DenseTracks:
     path = tmp_path / name
     path.write_bytes(content.encode() if isinstance(content, str) else content)
     return read_tracks(path, Choices(ring_m=ring_m)).dense()

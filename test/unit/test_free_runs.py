@@ -11,8 +11,7 @@ from sugiyama_ros.fit.score import between_measurements
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.drive import Order, Setting
 from sugiyama_ros.simulation.free_run import run_coupled, run_single
-from sugiyama_ros.trajectories.dense import tracks_of
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks, tracks_of
 
 _PERIOD_S, _STEPS, _LENGTH_M = 1.0 / 3.0, 30, 4.0
 
@@ -61,7 +60,7 @@ def test_without_acceleration_noise_shocks_change_nothing():
 def test_motion_between_measurements_is_the_smooth_curve_through_them():
     time = np.arange(40.0)
     position = np.column_stack((5.0 * time + 0.05 * time**2, 30.0 + 5.0 * time + 0.05 * time**2))
-    recording = Trajectories(position, np.full(2, _LENGTH_M), np.array([1, 2]), Road(0.0), period_s=1.0)
+    recording = DenseTracks(position, np.full(2, _LENGTH_M), np.array([1, 2]), Road(0.0), period_s=1.0)
     for data in (prepare(tracks_of(recording)), prepare_stretches(tracks_of(recording))):
         assert data.every == 3
         states = np.full((data.samples, data.vicinity.leader.shape[1], 4), np.nan)

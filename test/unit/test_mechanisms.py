@@ -11,7 +11,7 @@ from sugiyama_ros.filters.causal import log_likelihood
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, evenly
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 
 PERIOD_S, HORIZON, CARS, RING_M, LENGTH_M = 1.0 / 3.0, 4, 10, 160.0, 4.33
 
@@ -56,7 +56,7 @@ def second_generator(seed, *, delay_s=0.0, second=0.0, duration_s=80.0):
 
 def recorded(positions):
     road = Road(RING_M)
-    return Trajectories(
+    return DenseTracks(
         position_m=road.wrap(positions),
         length_m=np.full(CARS, LENGTH_M),
         vehicle=np.arange(CARS),

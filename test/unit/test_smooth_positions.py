@@ -10,7 +10,7 @@ from sugiyama_ros.filters.first_look import SIGMAS
 from sugiyama_ros.fit.scoring import SMALLEST, lower_bounds
 from sugiyama_ros.fit.smooth_positions import ESTIMATED, FREED, evenness
 from sugiyama_ros.road import Road
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 
 
 def recording(noise_std, vehicles=3, samples=900, period_s=0.1):
@@ -19,7 +19,7 @@ def recording(noise_std, vehicles=3, samples=900, period_s=0.1):
     rng = np.random.default_rng(4)
     own = [12.0 * time + 20.0 * np.sin(0.15 * time - 0.4 * i) - 25.0 * i for i in range(vehicles)]
     position = np.column_stack(own) + noise_std * rng.standard_normal((samples, vehicles))
-    return Trajectories(
+    return DenseTracks(
         position_m=position,
         length_m=np.full(vehicles, 4.5),
         vehicle=np.arange(1, vehicles + 1),

@@ -7,7 +7,7 @@ from sugiyama_ros.filters.paper import Scored
 from sugiyama_ros.fit.driver import calibrate
 from sugiyama_ros.fit.standard_errors import stds, untouched
 from sugiyama_ros.road import Road
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 
 PLACES = np.array([0, 1, 2])
 
@@ -37,7 +37,7 @@ def test_a_car_that_nobody_leads_does_not_tell_its_risk_premium():
     """Without a leader there is no gap, so that kappa_v changes nothing."""
     rng, time = np.random.default_rng(0), np.arange(150) / 3.0
     position = (8.0 * time + 20.0 * np.sin(0.1 * time) + 0.26 * rng.standard_normal(150))[:, None]
-    alone = Trajectories(position, np.array([4.33]), np.array([1]), Road(), 1.0 / 3.0)
+    alone = DenseTracks(position, np.array([4.33]), np.array([1]), Road(), 1.0 / 3.0)
     for formulation in ("paper", "causal"):
         (fit,) = calibrate(alone, formulation)
         assert np.isinf(fit.std[3]), formulation

@@ -14,7 +14,7 @@ from sugiyama_ros.trajectories.dense import tracks_of
 from sugiyama_ros.trajectories.stretches import stretches
 from sugiyama_ros.trajectories.time_base import is_regular, on_time_base, period_of, resample
 from sugiyama_ros.trajectories.tracks import Tracks
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 
 
 def platoon(vehicles: int = 4, duration: float = 20.0, period: float = 0.1, about: About | None = None) -> Tracks:
@@ -142,7 +142,7 @@ def test_chains_are_those_of_the_dense_table() -> None:
     """On one lane with everybody present, a chain out of tracks is filtered as a chain out of trajectories is."""
     time = np.arange(0.0, 30.0, 1.0 / 3.0)
     position = way(time)[:, None] - 20.0 * np.arange(4) + np.random.default_rng(5).normal(0.0, 0.2, (len(time), 4))
-    dense = Trajectories(np.mod(position, 200.0), np.full(4, 4.0), np.arange(4), Road(200.0), 1.0 / 3.0)
+    dense = DenseTracks(np.mod(position, 200.0), np.full(4, 4.0), np.arange(4), Road(200.0), 1.0 / 3.0)
     found = list(drives(tracks_of(dense)))
     assert len(found) == 4
     for driver, drive in enumerate(found):

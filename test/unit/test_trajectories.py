@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.trajectories.dense import DenseTracks
 
 OPEN = Road()
 
@@ -15,7 +15,7 @@ OPEN = Road()
 def on_road(position, road=OPEN, **more):
     position = np.asarray(position, dtype=np.float64)
     vehicles = position.shape[1]
-    return Trajectories(position, np.full(vehicles, 4.0), np.arange(vehicles), road, 0.5, **more)
+    return DenseTracks(position, np.full(vehicles, 4.0), np.arange(vehicles), road, 0.5, **more)
 
 
 @given(st.floats(-1e6, 1e6), st.floats(1.0, 1e4))
@@ -82,13 +82,13 @@ def test_a_missing_sample_between_two_known_is_present():
 def test_impossible_trajectories_are_refused():
     x = np.zeros((3, 2))
     with pytest.raises(InputError, match="one length"):
-        Trajectories(x, np.ones(3), np.arange(2), Road(), 1.0)
+        DenseTracks(x, np.ones(3), np.arange(2), Road(), 1.0)
     with pytest.raises(InputError, match="occurs twice"):
-        Trajectories(x, np.ones(2), np.array([1, 1]), Road(), 1.0)
+        DenseTracks(x, np.ones(2), np.array([1, 1]), Road(), 1.0)
     with pytest.raises(InputError, match="negative or not a number"):
-        Trajectories(x, np.array([1.0, np.nan]), np.arange(2), Road(), 1.0)
+        DenseTracks(x, np.array([1.0, np.nan]), np.arange(2), Road(), 1.0)
     with pytest.raises(InputError, match="time between samples"):
-        Trajectories(x, np.ones(2), np.arange(2), Road(), 0.0)
+        DenseTracks(x, np.ones(2), np.arange(2), Road(), 0.0)
 
 
 def test_the_follower_is_the_first_vehicle_whose_leader_is_this_vehicle():
