@@ -10,11 +10,10 @@ from sugiyama_ros.filters.extract import chain_behind, drives
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.assemble import assemble
-from sugiyama_ros.trajectories.dense import tracks_of
+from sugiyama_ros.trajectories.dense import DenseTracks, tracks_of
 from sugiyama_ros.trajectories.stretches import stretches
 from sugiyama_ros.trajectories.time_base import is_regular, on_time_base, period_of, resample
 from sugiyama_ros.trajectories.tracks import Tracks
-from sugiyama_ros.trajectories.dense import DenseTracks
 
 
 def platoon(vehicles: int = 4, duration: float = 20.0, period: float = 0.1, about: About | None = None) -> Tracks:
