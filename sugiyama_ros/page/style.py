@@ -12,7 +12,7 @@ _PAGE = """
 body { font: 15px/1.45 system-ui, sans-serif; background: var(--back); color: var(--text); }
 """
 #: The style sheets of the live page, and of a card of it.
-LIVE = _PAGE + "body { margin: .4rem 1rem; }"
+LIVE = _PAGE + "@media (min-width: 900px) { body { margin: .4rem 1rem; } }"
 CARD = """
 :host { box-sizing: border-box; width: 100%; background: var(--soft); border-radius: 8px; padding: .5rem 1rem;
   margin: .3rem 0; }
