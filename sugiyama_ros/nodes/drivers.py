@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from std_srvs.srv import Trigger
@@ -137,7 +138,7 @@ class DriversNode(LifecycleNodeMixin, PacedNode):
         self.create_service(AddEffect, "~/add_effect", self._on_add_effect)
         self.create_service(RemoveEffect, "~/remove_effect", self._on_remove_effect)
         self.on_clock_jump(self._on_clock_jump)
-        self.add_post_set_parameters_callback(lambda _: self._begin_anew())
+        self.add_post_set_parameters_callback(self._on_set)
         if autostart:
             self.trigger_configure()
             self.trigger_activate()
@@ -315,6 +316,10 @@ class DriversNode(LifecycleNodeMixin, PacedNode):
         self.drivers.clear()
         for vehicle in self._only:
             self._meet(vehicle)
+
+    def _on_set(self, parameters: list[Parameter]) -> None:
+        if any(parameter.name in NAMES for parameter in parameters):
+            self._begin_anew()
 
     def _begin_anew(self) -> None:
         """Forget everything, also what an earlier run has learnt."""

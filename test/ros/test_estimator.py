@@ -16,7 +16,7 @@ from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import OnlineFilter
 from sugiyama_ros.fit.classes import DriverTypes
-from sugiyama_ros.fit.model_file import write_drivers
+from sugiyama_ros.fit.model_file import FittedDrivers, write_drivers
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.nodes.base import cdr_messages
@@ -286,12 +286,13 @@ def test_the_filter_starts_from_the_nodes_parameters(stage) -> None:
     assert known["sigma_a"] == dict(zip(NAMES, population().tolist(), strict=True))["sigma_a"]
 
 
-def test_the_type_of_the_driver_is_published(stage, ring_csv: Path, tmp_path: Path) -> None:
-    trajectories, file = read_tracks(ring_csv, Choices(ring_m=100.0)).dense(), tmp_path / "types.yaml"
+def test_the_type_of_the_driver_is_published(stage, tmp_path: Path) -> None:
+    file = tmp_path / "types.yaml"
     kinds = np.array([population(), population()])
     kinds[1, NAMES.index("v_star")] *= 1.2
     types = DriverTypes(np.array([0.75, 0.25]), kinds)
-    write_drivers(file, trajectories, ROW.with_effects(np.tile(population(), (4, 1))), [{}] * 4, {}, 0.0, types)
+    rows = ROW.with_effects(np.tile(population(), (4, 1)))
+    write_drivers(file, FittedDrivers([0, 1, 2, 3], "", "", rows, [{}] * 4, {}, 0.0), types)
     road, told = Road(), []
     estimator = OneDriver(7, model=str(file))
     road.create_subscription(DriverType, "vehicle_07/driver_type", told.append, STREAM)
