@@ -19,7 +19,7 @@ from typing import NoReturn
 from journeys.terminal import Said
 
 #: A child that takes longer hangs.
-SECONDS = 120
+SECONDS = 600
 
 
 class Forks:

@@ -19,7 +19,7 @@ BIN = Path(sys.executable).parent
 COMMANDS = tuple(get_command(app).commands)  # type: ignore[attr-defined]
 #: A next step in what a command prints: it ends where the text around it goes on.
 _STEP = re.compile(rf"\bsugiyama (?:{'|'.join(COMMANDS)})\b[^;&)\n`]*")
-_SECONDS = 200
+_SECONDS = 600
 #: Runs Python blocks that share their names, one after the other: reads JSON lines, answers with a line for each.
 _PYTHON = """
 import json, sys, traceback

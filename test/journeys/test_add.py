@@ -12,7 +12,7 @@ import sugiyama_ros as sg
 from journeys.terminal import follow
 from sugiyama_ros.errors import InputError
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(1800)]
 #: What is added although nothing of it is in the data, one of each kind: an effect, a group of constants of each
 #: driver, a force without a name. Before them stands a form of what is in the data.
 ASKED = "clock_offset,drag,rationality,discovered_force:time_gap"

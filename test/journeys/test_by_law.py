@@ -9,7 +9,7 @@ import yaml
 
 from sugiyama_ros.laws.registry import LAWS
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(1800)]
 #: What the simulated drivers have: the usual values of the law.
 TRUTH = {f"idm.{p.name}": p.default for p in LAWS["idm"].parameters}
 

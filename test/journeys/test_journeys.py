@@ -17,7 +17,7 @@ import sugiyama_ros as sg
 from journeys import recordings
 from journeys.forks import Forks
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(1800)]
 #: Desired speed [m/s] and risk premium [s] of the simulated drivers: the paper's, Eq. SimulatedModelParameters.
 V_STAR, KAPPA_V = 10.26, 0.215
 HILL = "--effect road_grade:grade=0.06,centre=50,width=30"

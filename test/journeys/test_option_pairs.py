@@ -26,7 +26,7 @@ from journeys.forks import Forks
 from journeys.terminal import COMMANDS, Said
 from sugiyama_ros.cli.app import app
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(1800)]
 #: Values of arguments and options, by "command option" or, for all commands, "option". Words of a value are separated
 #: by blanks. An option that may be left out is left out, too. In a case's folder are copies of all inputs.
 VALUES: Mapping[str, Sequence[str]] = {

@@ -22,7 +22,7 @@ import pytest
 from journeys.blocks import ROOT, blocks
 
 # Most of this time is for compiling on a busy machine.
-pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(1800)]
 PAGES = [ROOT / "docs" / "howto" / f"{name}.md" for name in ("effect", "law", "format", "study")]
 #: An effect of each stage, beside the one of the page.
 MODULE = """

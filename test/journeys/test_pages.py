@@ -21,7 +21,7 @@ from journeys.forks import Forks
 from journeys.terminal import COMMANDS, Said, Terminal, follow
 from sugiyama_ros.cli.app import app
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(1800)]
 #: Files that a page works on, and how they are made.
 GIVEN: Mapping[str, Mapping[str, Callable[[Path], object]]] = {
     "docs/first_steps.md": {

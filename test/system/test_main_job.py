@@ -10,7 +10,7 @@ import pytest
 
 from sugiyama_ros.formats.mcap_reader import Bag
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
 SUGIYAMA = [sys.executable, "-m", "sugiyama_ros.cli"]
 CASE1 = Path(__file__).parents[2].parent / "shared/data/sugiyama2008_mstf/case1.data"
 measured = pytest.mark.skipif(not CASE1.exists(), reason="needs the measured experiment, which may not be passed on")

@@ -14,7 +14,7 @@ from journeys.terminal import Said
 
 from sugiyama_ros.formats.mcap_reader import Bag
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
 SUGIYAMA = str(Path(sys.executable).with_name("sugiyama"))
 GOOD = "time_s,vehicle,position_m\n" + "".join(f"{0.5 * t},{v},{20 * v + 4 * t}\n" for t in range(40) for v in range(3))
 OLD = b"old, and whole"

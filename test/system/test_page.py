@@ -35,7 +35,7 @@ from sugiyama_ros.page.report import detectable, report, write_report
 from sugiyama_ros.page.words import WHY, beside_the_verdict
 from sugiyama_ros.road import Road
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
 ROOT = Path(__file__).parents[2]
 SUGIYAMA = str(Path(sys.executable).with_name("sugiyama"))
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
