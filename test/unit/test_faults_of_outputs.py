@@ -40,7 +40,6 @@ OTHERS = {
     "files.py",
     "cli/__init__.py",
     "formats/mcap_records.py",
-    "nodes/run.py",
 }
 
 
