@@ -55,7 +55,7 @@ def picture(effect: Effect, path: Path) -> bool:
     seen = []
     for values in ({}, shown_values(effect)):
         run = carry_out(Experiment(ring_m=_RING_M, duration_s=_END_S, seed=1, gap_m=4.0), drivers(effect, values))
-        seen.append(((run.measured.position_m - run.position_m) if measures else run.speed)[:, 1])
+        seen.append(((run.dense.position_m - run.position_m) if measures else run.speed)[:, 1])
     without, with_effect = seen
     end = len(with_effect)
     difference = with_effect - without[:end]
