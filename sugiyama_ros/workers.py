@@ -100,26 +100,23 @@ def send(
 
 def ordered_map(
     function: Callable[[_Item], _Result],
-    items: Iterable[Any],
+    items: Iterable[_Item],
     work: Executor | None,
-    unpacked: Callable[[tuple[Any, ...]], Iterable[_Item]] = tuple,
 ) -> Iterator[_Result]:
     """Call a function for many items, of which only some are under way at a time.
 
     Neither this machine nor the scheduler of a cluster ever holds all items, and no task is large.
 
-    items: the items, made when their turn comes; or what ``unpacked`` makes items of; unpacked: called with some of
-    ``items``; what it returns is sent to a worker, which iterates over it.
+    items: the items, made when their turn comes.
     """
     if work is None:
-        for item in items:
-            yield from map(function, unpacked((item,)))
+        yield from map(function, items)
         return
     least, most = (_CHUNK, _LARGE_CHUNK) if isinstance(work, ProcessPoolExecutor) else (1, 1)
     left, size, handed_out = iter(items), least, 0
     under_way: deque[Future[list[_Result]]] = deque()
     while part := tuple(islice(left, size)):
-        under_way.append(work.submit(_each, function, unpacked(part)))
+        under_way.append(work.submit(_each, function, part))
         handed_out += len(part)
         size = min(max(least, handed_out // _PART), most)
         while len(under_way) * size >= _TASKS * least:

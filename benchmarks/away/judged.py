@@ -9,8 +9,9 @@ from scipy.stats import kstest
 
 from benchmarks.away.cases import Case, Pair, cases, recorded
 from sugiyama_ros.diagnosis.diagnose import Diagnosis, diagnose
+from sugiyama_ros.diagnosis.table import Difference, paired
 from sugiyama_ros.fit.preparation import prepare
-from sugiyama_ros.fit.score import Gain, evaluate, gain
+from sugiyama_ros.fit.score import evaluate
 from sugiyama_ros.page.document import additions
 
 
@@ -143,12 +144,12 @@ def _laws(d: Diagnosis) -> tuple[str, ...]:
     return tuple(name for k, name in enumerate(ordered) if k == 0 or won[name] > 0.0)
 
 
-def _fresh(d: Diagnosis, pair: Pair) -> Gain:
+def _fresh(d: Diagnosis, pair: Pair) -> Difference:
     """Gain of the additions one step ahead on a fresh recording of the same drivers, without a new fit."""
     data = prepare(pair.second, d.data.decisions)
     with ThreadPoolExecutor(1) as work:
         after, before = (evaluate(data, one.fit.model, work) for one in (d.final, d.base))
-    return gain(data, after, before)
+    return paired(data, after, before)
 
 
 def _errors(d: Diagnosis, pair: Pair) -> dict[str, float]:

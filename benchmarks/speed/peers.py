@@ -4,6 +4,7 @@ The recipe with filterpy is a Kalman filter in a Python loop, with the mean acti
 difference quotients. statsmodels has a compiled filter and its own search, and gets the same matrices.
 """
 
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES, SIGMA_A, defaults
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.filters import paper
-from sugiyama_ros.fit.driver import calibrate
+from sugiyama_ros.fit.driver import carry_out, jobs
 from sugiyama_ros.fit.smooth_positions import ESTIMATED
 
 #: Places of the estimated parameters in a driver's row.
@@ -146,7 +147,7 @@ def peers() -> tuple[SpeedFigure, ...]:
         other.without_2_pi(other.loglike(other.start_params)),
         paper.log_likelihood(perceived, start)[0],
     )
-    others = [v for v in t.vehicle.tolist() if v != t.vehicle[DRIVER]]
+    search = next(islice(jobs(t, "paper", ESTIMATED), DRIVER, None))
     one = cpu_of_functions(
         {
             "ours": lambda: paper.score(perceived, p, PLACES),
@@ -157,7 +158,7 @@ def peers() -> tuple[SpeedFigure, ...]:
     )
     fit = cpu_of_functions(
         {
-            "ours": lambda: list(calibrate(t, "paper", skip=others)),
+            "ours": lambda: carry_out(search),
             "filterpy": lambda: plain_fit(perceived),
             "statsmodels": lambda: other.fit(method="lbfgs", optim_complex_step=False, cov_type="none", disp=False),
         },

@@ -10,7 +10,7 @@ from sugiyama_ros.calibration.result import CalibratedDriver, Calibration, Setti
 from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.classes import find_classes
-from sugiyama_ros.fit.driver import Fit, JobMaker, SearchOptions, each_of
+from sugiyama_ros.fit.driver import Fit, SearchOptions, calibrate, jobs
 from sugiyama_ros.fit.smooth_positions import evenness
 from sugiyama_ros.fit.standard_errors import is_determined, quadratic
 from sugiyama_ros.laws.registry import PAPERS
@@ -82,13 +82,12 @@ def each_driver(
     found.
     """
     passes, drivers = 1 if settings.formulation == "paper" else 2, len(road.vehicle)
-    maker = JobMaker(road, settings.formulation, settings.estimated)
     fits: list[Fit] = []
     for number in range(passes):
         is_last = number == passes - 1
         options = SearchOptions(settings.is_regularised, settings.profiled and is_last, is_last, from_several=True)
-        maker, fits = maker.knowing({fit.vehicle: fit.parameters for fit in fits}), []
-        for fit in each_of(maker, options, work=work):
+        known, fits = {fit.vehicle: fit.parameters for fit in fits}, []
+        for fit in calibrate(road, settings.formulation, settings.estimated, options, known=known, work=work):
             fits.append(fit)
             on_progress(number * drivers + len(fits), passes * drivers)
     return of_fits(settings, _drivers(road), fits, about, road)
@@ -98,10 +97,9 @@ def _in_classes(road: DenseTracks, settings: Settings, about: About, work: Execu
     """Calibrate classes of drivers on a whole road. The drivers of a class share all parameters."""
     drivers = len(road.vehicle)
     settings.check_classes(drivers, about.source)
-    job_of = JobMaker(road, settings.formulation, settings.estimated)
-    jobs = [replace(job_of(i), options=SearchOptions(with_errors=False)) for i in range(drivers)]
+    searches = list(jobs(road, settings.formulation, settings.estimated, SearchOptions(with_errors=False)))
     samples = int(np.isfinite(road.position_m).sum())
-    classes = find_classes(jobs, settings.classes, samples, settings.seed, work)
+    classes = find_classes(searches, settings.classes, samples, settings.seed, work)
     return of_classes(settings, _drivers(road), classes, about, road)
 
 

@@ -10,12 +10,13 @@ from dataclasses import replace
 
 from sugiyama_ros.diagnosis.candidates import Candidate
 from sugiyama_ros.diagnosis.score import scores
+from sugiyama_ros.diagnosis.table import paired
 from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.law import in_filter
 from sugiyama_ros.fit.preparation import prepare
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.score import PointwiseDensity, gain, unknown
+from sugiyama_ros.fit.score import PointwiseDensity, unknown
 from sugiyama_ros.fit.smooth_positions import FREED, ROUNDING
 from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.progress import OnStage
@@ -43,7 +44,7 @@ def base_model(data: Recorded, work: Executor, law: str = PAPERS) -> tuple[Recor
         return data, base
     freed = replace(data, even=data.even._replace(has_other_noises=True))
     again = in_filter(freed, law, work)
-    won = gain(data, again.samples, base.samples)
+    won = paired(data, again.samples, base.samples)
     return (freed, again) if won.nats - by_chance > _CLEAR * won.se else (data, base)
 
 
@@ -73,7 +74,8 @@ def with_more_decisions(
     if found is None:
         return None
     finer, again = found
-    won = gain(data, _where_measured(data, again.samples, finer.every), _where_measured(data, base.samples, data.every))
+    ours, theirs = (_where_measured(data, *one) for one in ((again.samples, finer.every), (base.samples, data.every)))
+    won = paired(data, ours, theirs)
     return found if won.nats > _CLEAR * won.se else None
 
 

@@ -10,7 +10,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import Candidate, candidates, chosen, with_candidate
 from sugiyama_ros.diagnosis.score import Score, ScoreOfSome, scores
 from sugiyama_ros.effects.registry import ROW
-from sugiyama_ros.fit.joint import JointFit, at_model, maximise, objective, renewed, rise
+from sugiyama_ros.fit.joint import JointFit, at_model, maximise, renewed
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.scoring import is_linear
@@ -30,9 +30,9 @@ def refined(data: Recorded, fitted: JointFit, candidate: Candidate, found: Seque
     tried = [model for one in near for model in _starts(fitted.model, one)]
     tried = tried or [with_candidate(fitted.model, candidate, start) for start in candidate.starts]
     there = [_beside(data, fitted, model, work) for model in tried]
-    start = max(there, key=lambda one: objective(one.slopes, one.model, range(FOLDS)))
+    start = max(there, key=lambda one: one.objective)
     found_there = _maximised(data, start, work)
-    if _does_nothing(data, found_there.model, candidate) or rise(fitted, found_there) <= 0.0:
+    if _does_nothing(data, found_there.model, candidate) or found_there.objective <= fitted.objective:
         return fitted
     return replace(found_there, beside=fitted if start.model.held else None)
 
@@ -56,11 +56,8 @@ def with_named(data: Recorded, fitted: JointFit, names: Sequence[str], work: Exe
 
 def _maximised(data: Recorded, start: JointFit, work: Executor) -> JointFit:
     """The full fit from a start; then the drivers ahead get the parameters that were found for them."""
-    everybody = np.ones(data.drivers, np.bool_)
-    found = maximise(
-        data.roughly, renewed(data.roughly, start, work, everybody), work, iterations=_STEPS, renewals=_RENEWALS
-    )
-    found = at_model(data, found, replace(found.model, ahead=found.model.rows), work, everybody)
+    found = maximise(data.roughly, renewed(data.roughly, start, work), work, iterations=_STEPS, renewals=_RENEWALS)
+    found = at_model(data, found, replace(found.model, ahead=found.model.rows), work)
     return maximise(data, found, work, iterations=_STEPS_WITHOUT, renewals=0, fresh=False)
 
 
@@ -96,7 +93,7 @@ def _without_fold(data: Recorded, fitted: JointFit, folds: Sequence[int], work: 
 
 def _from_rows(data: Recorded, fitted: JointFit, rows: Array, folds: Sequence[int], work: Executor) -> Model:
     """The fit of all drivers together to some folds, from rows (N, WIDTH) near those of a fit."""
-    start = at_model(data, fitted, replace(fitted.model, rows=rows), work, np.ones(data.drivers, np.bool_))
+    start = at_model(data, fitted, replace(fitted.model, rows=rows), work)
     return maximise(data, start, work, folds=folds, iterations=_STEPS_WITHOUT, renewals=0).model
 
 
@@ -115,7 +112,7 @@ def without(data: Recorded, fitted: JointFit, candidate: Candidate, work: Execut
         shared=tuple(k for k in model.shared if k not in candidate.places),
         few=tuple((k, who) for k, who in model.few if k not in candidate.places),
     )
-    return renewed(data, _beside(data, fitted, less, work), work, np.ones(data.drivers, np.bool_))
+    return renewed(data, _beside(data, fitted, less, work), work)
 
 
 def _entries(candidate: Candidate) -> list[int]:
@@ -157,4 +154,4 @@ def _beside(data: Recorded, fitted: JointFit, model: Model, work: Executor) -> J
         )
         for s in fitted.slopes
     )
-    return at_model(data, JointFit(fitted.model, fitted.samples, slopes), model, work, np.ones(data.drivers, np.bool_))
+    return at_model(data, JointFit(fitted.model, fitted.samples, slopes), model, work)

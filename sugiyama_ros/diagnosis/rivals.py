@@ -7,12 +7,11 @@ import numpy as np
 
 from sugiyama_ros.diagnosis.forecast import Surroundings, forecasts
 from sugiyama_ros.diagnosis.refine import without_folds
-from sugiyama_ros.diagnosis.table import CLEARLY, Entry
+from sugiyama_ros.diagnosis.table import CLEARLY, Entry, sum_error
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import fit_nearly
 from sugiyama_ros.fit.law import in_filter, start_of_drivers
 from sugiyama_ros.fit.recording import Recorded, some_drivers
-from sugiyama_ros.fit.score import sum_error
 from sugiyama_ros.laws.registry import LAWS, name_of
 
 # Number of drivers to whom a law is fitted first, as many as filters run side by side.

@@ -23,7 +23,7 @@ from sugiyama_ros.diagnosis.candidates import OF_SOME, Candidate, Start, with_ca
 from sugiyama_ros.diagnosis.covariates import forces
 from sugiyama_ros.effects.control import is_contaminated
 from sugiyama_ros.fit.joint import JointFit
-from sugiyama_ros.fit.model import Model, NewtonStep, moved
+from sugiyama_ros.fit.model import Model, moved
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import PointwiseDensity, evaluate_each
 from sugiyama_ros.fit.scoring import coordinate, value
@@ -331,8 +331,7 @@ class _Nuisance:
         change = np.zeros((data.drivers, len(model.individual)))
         for known in self._known:
             change[known.number, : known.own] = known.response(at, model.rows[known.number])
-        nothing = np.zeros(data.drivers)
-        return moved(data, model, NewtonStep(change, np.zeros(len(model.shared)), nothing, 0.0))
+        return moved(data, model, change, np.zeros(len(model.shared)))
 
     def gain(self, one: _Direction, responded: PointwiseDensity) -> Score | None:
         """The gain at a start that changes noises: of each driver there, or after the own parameters have responded."""

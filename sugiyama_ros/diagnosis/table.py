@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.stats import norm
 
 from sugiyama_ros.arrays import Array, Ints
@@ -20,7 +21,7 @@ from sugiyama_ros.effects.registry import EFFECTS
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.score import sum_error
+from sugiyama_ros.fit.score import PointwiseDensity
 
 #: Level of significance, and false-discovery rate: nothing is added that chance shows more often.
 ALPHA = 0.05
@@ -102,6 +103,24 @@ def gains(data: Recorded, better: Forecasts, than: Forecasts) -> dict[str, Diffe
     return {
         name: _gain(when if name.startswith("road") else who * blocks + when, won) for name, who, when, won in columns
     }
+
+
+def sum_error(parts: ArrayLike) -> float:
+    """Return the standard error of the sum of exchangeable parts (N,), by the jackknife."""
+    x = np.asarray(parts)
+    return math.sqrt(len(x) * float(np.var(x, ddof=1))) if len(x) > 1 else 0.0
+
+
+def paired(data: Recorded, better: PointwiseDensity, than: PointwiseDensity) -> Difference:
+    """Return the gain of one model over another one step ahead; the larger error over drivers and over blocks."""
+    difference = better.log_likelihood - than.log_likelihood
+    known = np.isfinite(difference)
+    # who follows nobody is not predicted, and tells nothing of how drivers differ
+    by_driver = np.nansum(difference[known.any(axis=1)], axis=1)
+    # nor do blocks in which nothing is predicted
+    where, block = np.unique(data.block[known], return_inverse=True)
+    by_block = np.bincount(block, weights=difference[known], minlength=len(where))
+    return Difference(float(by_driver.sum()), max(sum_error(by_driver), sum_error(by_block)))
 
 
 def is_better(gain: Mapping[str, Difference]) -> bool:

@@ -1,12 +1,10 @@
 """Maximum-likelihood calibration of one driver (section 5 of the paper)."""
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from copy import copy
 from dataclasses import dataclass, replace
-from functools import partial
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -145,10 +143,6 @@ class SearchOptions:
     from_several: bool = False
 
 
-#: The search without further options.
-PLAIN = SearchOptions()
-
-
 @dataclass(frozen=True, eq=False)
 class Fit:
     """Maximum-likelihood estimate of one driver.
@@ -187,7 +181,7 @@ class Job:
     places: Ints
     lower: Array
     upper: Array
-    options: SearchOptions = PLAIN
+    options: SearchOptions = SearchOptions()
     perceived: paper.Perceived | None = None
     followed: DriverChains | None = None
 
@@ -323,89 +317,44 @@ def calibrate(
     trajectories: DenseTracks,
     formulation: Formulation = "causal",
     estimated: Sequence[str] = ESTIMATED,
-    options: SearchOptions = PLAIN,
+    options: SearchOptions = SearchOptions(),
     *,
-    skip: Collection[int] = (),
+    known: Mapping[int, Array] = MappingProxyType({}),
     work: Executor | None = None,
 ) -> Iterator[Fit]:
-    """Fit every driver alone, from the population's mean with a larger acceleration noise. Raises InputError."""
-    yield from each_of(JobMaker(trajectories, formulation, estimated), options, skip=skip, work=work)
+    """Fit every driver alone; arguments as for ``jobs``. Raises InputError."""
+    yield from ordered_map(carry_out, jobs(trajectories, formulation, estimated, options, known), work)
 
 
-def each_of(
-    maker: "JobMaker", options: SearchOptions, *, skip: Collection[int] = (), work: Executor | None = None
-) -> Iterator[Fit]:
-    """Carry out the searches that ``maker`` makes, one for each driver."""
-    left = (i for i, v in enumerate(maker.vehicles.tolist()) if v not in skip)
-    yield from ordered_map(carry_out, left, work, partial(_Jobs, maker, options))
-
-
-class JobMaker:
-    """Makes the plain searches for the parameters of the drivers of a recording.
+def jobs(
+    trajectories: DenseTracks,
+    formulation: Formulation,
+    estimated: Sequence[str],
+    options: SearchOptions = SearchOptions(),
+    known: Mapping[int, Array] = MappingProxyType({}),
+) -> Iterator[Job]:
+    """Yield the search for each driver, from the population's mean with a larger acceleration noise.
 
     known: parameters (P,) by vehicle, for the start and for the drivers ahead.
     """
-
-    def __init__(
-        self,
-        trajectories: DenseTracks,
-        formulation: Formulation,
-        estimated: Sequence[str],
-        known: Mapping[int, Array] = MappingProxyType({}),
-    ) -> None:
-        is_causal = formulation == "causal"
-        self._trajectories = with_short_periods(trajectories) if is_causal else trajectories
-        self._formulation, self._known = formulation, known
-        self._places = np.array([index(name) for name in estimated])
-        seen = measured(trajectories)
-        even, speed = evenness(seen), fastest(seen)
-        self._bounds, self._typical = (lower_bounds(even), upper_bounds(speed)), even.typical(speed)
-
-    @property
-    def vehicles(self) -> Ints:
-        """Numbers of the drivers' vehicles, shape (N,)."""
-        return self._trajectories.vehicle
-
-    def knowing(self, known: Mapping[int, Array]) -> "JobMaker":
-        """Return a maker of the same searches from other parameters (P,) by vehicle."""
-        one = copy(self)
-        one._known = known
-        return one
-
-    def only(self, drivers: Sequence[int]) -> "JobMaker":
-        """Return a maker whose first columns are some drivers, and which knows no more than their searches need."""
-        part = self._trajectories.around(drivers, CHAIN - 1)
-        one = self.knowing({v: self._known[v] for v in part.vehicle.tolist() if v in self._known})
-        one._trajectories = part
-        return one
-
-    def __call__(self, driver: int) -> Job:
-        """Return the search for the driver in column ``driver``."""
-        trajectories, known = self._trajectories, self._known
-        begin = self._typical.copy()
-        begin[SIGMA_A] = START_SIGMA_A
-        vehicle = int(trajectories.vehicle[driver])
-        one = Job(vehicle, known.get(vehicle, begin), self._places, *self._bounds)
-        if self._formulation == "paper":
-            return replace(one, perceived=paper.perceive(trajectories, driver))
+    seen = measured(trajectories)
+    even, speed = evenness(seen), fastest(seen)
+    typical = even.typical(speed)
+    start, places = typical.copy(), np.array([index(name) for name in estimated])
+    start[SIGMA_A] = START_SIGMA_A
+    plain = Job(0, start, places, lower_bounds(even), upper_bounds(speed), options)
+    if formulation == "causal":
         from sugiyama_ros.filters.extract import chain_behind  # here, because the paper's formulation starts without it
 
+        trajectories = with_short_periods(trajectories)
+    for driver, vehicle in enumerate(trajectories.vehicle.tolist()):
+        one = replace(plain, vehicle=vehicle, start=known.get(vehicle, start))
+        if formulation == "paper":
+            yield replace(one, perceived=paper.perceive(trajectories, driver))
+            continue
         chain = chain_behind(trajectories, driver, with_rear=False)
-        ahead = [known.get(most_seen(chain.identity[:, m]), self._typical) for m in range(1, CHAIN)]
-        return replace(one, followed=DriverChains((chain,), (np.array(ahead),)))
-
-
-class _Jobs:
-    """The searches for some drivers; processes and clusters get the part of the recording that these drivers see."""
-
-    def __init__(self, maker: JobMaker, options: SearchOptions, drivers: Sequence[int]) -> None:
-        self._maker, self._options, self._drivers = maker, options, drivers
-
-    def __iter__(self) -> Iterator[Job]:
-        return (replace(self._maker(driver), options=self._options) for driver in self._drivers)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _Jobs, (self._maker.only(self._drivers), self._options, range(len(self._drivers)))
+        ahead = [known.get(most_seen(chain.identity[:, m]), typical) for m in range(1, CHAIN)]
+        yield replace(one, followed=DriverChains((chain,), (np.array(ahead),)))
 
 
 def most_seen(identity: Ints) -> int:

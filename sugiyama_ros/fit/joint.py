@@ -9,19 +9,19 @@ Without shared parameters each driver moves independently and stops on reaching 
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sugiyama_ros.arrays import Array
+from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.driver.parameters import NAMES
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.first_look import PER_MEDIAN
 from sugiyama_ros.fit.driver import calibrate
-from sugiyama_ros.fit.model import Model, NewtonStep, moved
+from sugiyama_ros.fit.model import Model, moved
 from sugiyama_ros.fit.recording import FOLDS, Recorded
-from sugiyama_ros.fit.score import PointwiseDensity, predict_drivers
+from sugiyama_ros.fit.score import PointwiseDensity, evaluate
 from sugiyama_ros.fit.scoring import Damping, coordinate, damped, damped_step
 from sugiyama_ros.fit.slopes import Slopes, informed_steps, slopes, slopes_of, sums
 from sugiyama_ros.fit.smooth_positions import measured_every
@@ -51,22 +51,26 @@ class JointFit:
         """Log-likelihood of all samples [nats]."""
         return self.samples.total
 
+    def objectives(self, folds: Sequence[int] = range(FOLDS)) -> Array:
+        """Return the log posterior of each driver (N,) [nats]: samples in ``folds``, and the prior in proportion."""
+        likelihood = np.array([s.log_likelihood for s in self.slopes])[:, list(folds)].sum(axis=1)
+        return np.asarray(likelihood - 0.5 * len(folds) / FOLDS * np.square(self.model.away).sum(axis=1))
 
-def start_fit(data: Recorded, model: Model, work: Executor) -> JointFit:
-    """Return the start of a search from ``model``: the model with its samples and slopes."""
-    start, samples = slopes(data, model, work)
-    return JointFit(model, samples, tuple(start))
+    @property
+    def objective(self) -> float:
+        """Log posterior of all drivers [nats]."""
+        return float(self.objectives().sum())
 
 
 def fit(data: Recorded, model: Model, work: Executor, *, iterations: int = _STEPS) -> JointFit:
     """Maximise the likelihood from ``model``, with at most ``iterations`` steps."""
-    return maximise(data, start_fit(data, model, work), work, iterations=iterations)
+    return maximise(data, _start(data, model, work), work, iterations=iterations)
 
 
-def warm_start(data: Recorded, near: JointFit, model: Model, work: Executor, *, renewals: int = _RENEWALS) -> JointFit:
-    """Maximise the likelihood from ``model``, and reuse the derivatives of a nearby fit."""
-    start = at_model(data, near, model, work, np.ones(data.drivers, np.bool_))
-    return maximise(data, start, work, renewals=renewals, fresh=False)
+def _start(data: Recorded, model: Model, work: Executor) -> JointFit:
+    """The start of a search: the model with its samples and slopes."""
+    start, samples = slopes(data, model, work)
+    return JointFit(model, samples, tuple(start))
 
 
 def maximise(
@@ -99,10 +103,10 @@ def maximise(
             step, moves = _next_step(here, folds, damping, enough)
             if step.predicted_gain < enough:
                 break
-        there = at_model(data, here, moved(data, here.model, step), work, moves)
+        there = at_model(data, here, moved(data, here.model, step.individual, step.shared), work, moves)
         rise, predicted_gains = _risen(here, there, step, folds)
         better = moves & (rise > 0.0)
-        here = mixed(here, there, better)
+        here = _mixed(here, there, better)
         gained = np.where(better, rise, 0.0)
         poor = moves & (gained <= 0.5 * predicted_gains)
         if gained.sum() < enough and is_fresh[moves].all() and better.any():
@@ -115,117 +119,96 @@ def maximise(
     return here
 
 
-def _next_step(
-    here: JointFit, folds: Sequence[int], damping: Array, enough: float
-) -> tuple[NewtonStep, NDArray[np.bool_]]:
+def _next_step(here: JointFit, folds: Sequence[int], damping: Array, enough: float) -> tuple["_Step", Mask]:
     """The next step, and the drivers (N,) that it moves: those with enough predicted gain, and those whom a shared
     parameter moves.
     """
-    step, own = solve(here.slopes, here.model, folds, damping), len(here.model.individual)
+    step, own = _solve(here, folds, damping), len(here.model.individual)
     shared = np.array([s.information[:, own:, own:].any() for s in here.slopes])
     return step, shared | (step.predicted_gains > enough / len(here.slopes))
 
 
-def _risen(here: JointFit, there: JointFit, step: NewtonStep, folds: Sequence[int]) -> tuple[Array, Array]:
+def _risen(here: JointFit, there: JointFit, step: "_Step", folds: Sequence[int]) -> tuple[Array, Array]:
     """Rise of each driver's objective from one model to another, and the predicted rise; (N,) each.
 
     With shared parameters the drivers rise and fall together, so each driver gets the mean.
     """
-    rise = objectives(there.slopes, there.model, folds) - objectives(here.slopes, here.model, folds)
+    rise = there.objectives(folds) - here.objectives(folds)
     if not here.model.shared:
         return rise, step.predicted_gains
     return np.full_like(rise, rise.mean()), np.full_like(rise, step.predicted_gain / len(rise))
 
 
-def solve(
-    all_slopes: Sequence[Slopes],
-    model: Model,
-    folds: Sequence[int],
-    damping: float | Array,
-    curvature: Sequence[int] | None = None,
-) -> NewtonStep:
-    """Return the damped Newton step of a model; the prior counts in proportion to the number of folds.
+class _Step(NamedTuple):
+    """A step of the search: changes of the individual (N, I) and of the shared coordinates (S,).
 
-    curvature: folds whose information counts; ``folds`` by default.
+    predicted_gains: (N,), predicted rise of the log posterior [nats] from each driver's individual changes;
+    predicted_gain: predicted rise from the whole step.
     """
-    curved, own = list(folds if curvature is None else curvature), len(model.individual)
-    of_driver: Array = np.broadcast_to(damping, len(all_slopes))
-    std, share = np.array(model.prior_std), len(folds) / FOLDS
-    g: Array = np.array([s.score for s in all_slopes])[:, list(folds)].sum(axis=1)
-    h: Array = np.array([s.information for s in all_slopes])[:, curved].sum(axis=1)
-    if model.few:
-        has = model.has
-        g[:, own:] = np.where(has, g[:, own:], 0.0)
-        h[:, :own, own:] = np.where(has[:, None], h[:, :own, own:], 0.0)
-        h[:, own:, own:] = np.where(has[:, :, None] & has[:, None], h[:, own:, own:], 0.0)
-    g_own, h_own, cross = g[:, :own] - share * model.away / std, h[:, :own, :own], h[:, :own, own:]
-    h_own = h_own + len(curved) / FOLDS * np.diag(1.0 / std**2)
-    if model.held:
-        is_held = np.isin((*model.individual, *model.shared), model.held)
-        g_own[:, is_held[:own]], g[:, own + np.flatnonzero(is_held[own:])] = 0.0, 0.0
-        # parameters that do not move take up nothing of what the others do
-        h = np.where(is_held[:, None] != is_held, 0.0, h)
-        h_own, cross = np.where(is_held[:own, None] != is_held[:own], 0.0, h_own), h[:, :own, own:]
-    inverse = np.linalg.inv(damped(h_own, of_driver))
+
+    individual: Array
+    shared: Array
+    predicted_gains: Array
+    predicted_gain: float
+
+
+def _solve(here: JointFit, folds: Sequence[int], damping: Array) -> _Step:
+    """The damped Newton step from a fit; the prior counts in proportion to the number of folds."""
+    model, own, share = here.model, len(here.model.individual), len(folds) / FOLDS
+    std = np.array(model.prior_std)
+    g: Array = np.array([s.score for s in here.slopes])[:, list(folds)].sum(axis=1)
+    h: Array = np.array([s.information for s in here.slopes])[:, list(folds)].sum(axis=1)
+    g[:, :own] -= share * model.away / std
+    h[:, range(own), range(own)] += share * (1.0 / std**2)
+    # what a driver does not have, and what is held, does not move, and takes up nothing of what the others do
+    is_held = np.isin((*model.individual, *model.shared), model.held)
+    has = np.concatenate([np.ones((len(g), own), np.bool_), model.has], axis=1)
+    g = np.where(has & ~is_held, g, 0.0)
+    h = np.where(has[:, :, None] & has[:, None] & (is_held[:, None] == is_held), h, 0.0)
+    cross, g_own = h[:, :own, own:], g[:, :own].copy()
+    inverse = np.linalg.inv(damped(h[:, :own, :own], damping))
     # response of the individual parameters to a change of each shared parameter
     gives_way = inverse @ cross
     reduced = (h[:, own:, own:] - cross.transpose(0, 2, 1) @ gives_way).sum(axis=0)
     rest = g[:, own:].sum(axis=0) - np.einsum("nis,ni->s", gives_way, g_own)
-    of_shared = damped_step(reduced, rest, of_driver.max() + 1e-9, 1e-6)
+    of_shared = damped_step(reduced, rest, damping.max() + 1e-9, 1e-6)
     of_own: Array = np.einsum("nij,nj->ni", inverse, g_own - cross @ of_shared)
     predicted_gains: Array = 0.5 * np.einsum("ni,nij,nj->n", g_own, inverse, g_own)
-    return NewtonStep(of_own, of_shared, predicted_gains, 0.5 * float(rest @ of_shared) + float(predicted_gains.sum()))
+    return _Step(of_own, of_shared, predicted_gains, 0.5 * float(rest @ of_shared) + float(predicted_gains.sum()))
 
 
-def at_model(data: Recorded, here: JointFit, model: Model, work: Executor, who: NDArray[np.bool_]) -> JointFit:
+def at_model(data: Recorded, here: JointFit, model: Model, work: Executor, who: Mask | None = None) -> JointFit:
     """Return the fit with the drivers in ``who`` (N,) moved to a nearby model; the derivatives stay as they are."""
-    numbers = np.flatnonzero(who)
-    rows, slopes_, samples = here.model.rows.copy(), list(here.slopes), here.samples.copy()
-    rows[who] = model.rows[who]
-    for i, at in zip(numbers, predict_drivers(data, model, numbers, work), strict=True):
-        slopes_[i] = sums(at, slopes_[i].columns, rows[i], data.fold[i])
-        samples.put(i, at)
+    numbers = range(data.drivers) if who is None else np.flatnonzero(who).tolist()
+    rows, slopes_ = here.model.rows.copy(), list(here.slopes)
+    samples, there = here.samples.copy(), evaluate(data, model, work, numbers)
+    for i in numbers:
+        rows[i] = model.rows[i]
+        samples.put(i, there.of(i))
+        slopes_[i] = sums(there.of(i), slopes_[i].columns, rows[i], data.fold[i])
     return JointFit(replace(model, rows=rows), samples, tuple(slopes_))
 
 
-def renewed(data: Recorded, here: JointFit, work: Executor, who: NDArray[np.bool_]) -> JointFit:
+def renewed(data: Recorded, here: JointFit, work: Executor, who: Mask | None = None) -> JointFit:
     """Return the fit with the derivatives of the drivers in ``who`` (N,) computed again."""
-    numbers, slopes_ = np.flatnonzero(who), list(here.slopes)
-    steps = informed_steps(data, here.model, here.slopes)
+    numbers = range(data.drivers) if who is None else np.flatnonzero(who).tolist()
+    steps, slopes_ = informed_steps(data, here.model, here.slopes), list(here.slopes)
     for i, s in zip(numbers, slopes_of(data, here.model, here.samples, steps, work, numbers), strict=True):
         slopes_[i] = s
     return replace(here, slopes=tuple(slopes_))
 
 
-def mixed(here: JointFit, there: JointFit, better: NDArray[np.bool_]) -> JointFit:
-    """Return the fit ``there`` for the drivers in ``better`` (N,), and the fit ``here`` for the other drivers."""
+def _mixed(here: JointFit, there: JointFit, better: Mask) -> JointFit:
+    """The fit ``there`` for the drivers in ``better`` (N,), and the fit ``here`` for the other drivers."""
     rows, slopes_, samples = here.model.rows.copy(), list(here.slopes), here.samples.copy()
-    rows[better] = there.model.rows[better]
-    for i in np.flatnonzero(better):
-        slopes_[i] = there.slopes[i]
+    for i in np.flatnonzero(better).tolist():
+        rows[i], slopes_[i] = there.model.rows[i], there.slopes[i]
         samples.put(i, there.samples.of(i))
     return JointFit(replace(here.model, rows=rows), samples, tuple(slopes_))
 
 
-def objectives(all_slopes: Sequence[Slopes], model: Model, folds: Sequence[int]) -> Array:
-    """Return the log posterior of each driver (N,) [nats]: samples in ``folds``, and the prior in proportion."""
-    likelihood = np.array([s.log_likelihood for s in all_slopes])[:, list(folds)].sum(axis=1)
-    return np.asarray(likelihood - 0.5 * len(folds) / FOLDS * np.square(model.away).sum(axis=1))
-
-
-def objective(all_slopes: Sequence[Slopes], model: Model, folds: Sequence[int]) -> float:
-    """Return the log posterior of all drivers [nats]: samples in ``folds``, and the prior in proportion to them."""
-    return float(objectives(all_slopes, model, folds).sum())
-
-
-def rise(before: JointFit, after: JointFit) -> float:
-    """Return how much larger the log posterior of one fit is than that of another [nats]."""
-    everywhere = range(FOLDS)
-    return objective(after.slopes, after.model, everywhere) - objective(before.slopes, before.model, everywhere)
-
-
-#: Prior std of a parameter's coordinate (a logarithm for most): before the spread is known; smallest; largest.
-PRIOR_STD, LEAST_STD, LARGEST_STD = 1.0, 0.05, 1.0
+#: Largest prior std of a parameter's coordinate (a logarithm for most), also before the spread is known; smallest.
+LARGEST_STD, _LEAST_STD = 1.0, 0.05
 # The first search ends when the predicted gain of a step is less than this [nats], because other searches follow.
 _NEARLY = 20.0
 # A driver further than this from the median driver, in prior stds, is fitted again.
@@ -239,15 +222,14 @@ def start_model(data: Recorded, individual: Sequence[int]) -> Model:
     """Return the model without effects in which every driver is the mean of the population."""
     typical = data.even.typical(data.speed)
     rows = np.tile(ROW.with_effects(typical), (data.drivers, 1))
-    return Model(rows, tuple(individual), (), (PRIOR_STD,) * len(individual), rows.copy())
+    return Model(rows, tuple(individual), (), (LARGEST_STD,) * len(individual), rows.copy())
 
 
 def fit_nearly(data: Recorded, individual: Sequence[int], work: Executor, start: Model | None = None) -> JointFit:
     """Fit every driver alone, but not to the end, because other searches follow, or because the fit is far behind."""
     first = start or start_model(data, individual)
     near = _by_paper(data, first, work) if start is None else None
-    start_at = start_fit(data, near or first, work)
-    return maximise(data, start_at, work, iterations=10 if near is None else 3, enough=_NEARLY)
+    return maximise(data, _start(data, near or first, work), work, iterations=10 if near is None else 3, enough=_NEARLY)
 
 
 def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: Model | None = None) -> JointFit:
@@ -262,7 +244,8 @@ def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: M
 
 def _as_one_population(data: Recorded, near: JointFit, work: Executor) -> JointFit:
     """Fit all drivers as draws from one population, with the parameters of a nearby fit for the drivers ahead."""
-    return _second_chance(data, warm_start(data, near, as_population(near.model), work), work)
+    start = at_model(data, near, _as_population(near.model), work)
+    return _second_chance(data, maximise(data, start, work, fresh=False), work)
 
 
 def _settled(data: Recorded, found: JointFit, work: Executor) -> JointFit:
@@ -271,7 +254,7 @@ def _settled(data: Recorded, found: JointFit, work: Executor) -> JointFit:
     Where it falls, the drivers ahead are better predicted by the parameters of the fit before, which is kept.
     """
     enough = max(_AGREES * data.drivers, _AGREE)
-    there = at_model(data, found, as_population(found.model), work, np.ones(data.drivers, np.bool_))
+    there = at_model(data, found, _as_population(found.model), work)
     if abs(there.log_likelihood - found.log_likelihood) < enough:
         return found
     for _ in range(_PASSES):
@@ -297,9 +280,8 @@ def _second_chance(data: Recorded, found: JointFit, work: Executor) -> JointFit:
     rows[np.ix_(far, own)] = np.median(rows[:, own], axis=0)
     elsewhere = at_model(data, found, replace(found.model, rows=rows), work, far)
     again = maximise(data, renewed(data, elsewhere, work, far), work)
-    everywhere = range(FOLDS)
-    better = objectives(again.slopes, again.model, everywhere) > objectives(found.slopes, found.model, everywhere)
-    return maximise(data, mixed(found, again, better), work, iterations=4)
+    better = again.objectives() > found.objectives()
+    return maximise(data, _mixed(found, again, better), work, iterations=4)
 
 
 def _by_paper(data: Recorded, model: Model, work: Executor) -> Model | None:
@@ -323,14 +305,14 @@ def _by_paper(data: Recorded, model: Model, work: Executor) -> Model | None:
         known = [one.parameters[k] for one in fits if one.identified(name)]
         if known:
             rows[:, k] = [one.parameters[k] if one.identified(name) else np.median(known) for one in fits]
-    return as_population(replace(model, rows=rows))
+    return _as_population(replace(model, rows=rows))
 
 
-def as_population(model: Model) -> Model:
+def _as_population(model: Model) -> Model:
     """Return the model with the spread of its drivers as the prior, and with its own rows for the drivers ahead."""
     own = coordinate(model.rows[:, list(model.individual)], model.individual)
     spread = PER_MEDIAN * np.median(np.abs(own - np.median(own, axis=0)), axis=0)
     # a small number of drivers determines the spread poorly
     known = len(own) / (len(own) + 3.0)
-    std = np.clip(known * spread + (1.0 - known) * 0.3, LEAST_STD, LARGEST_STD)
+    std = np.clip(known * spread + (1.0 - known) * 0.3, _LEAST_STD, LARGEST_STD)
     return replace(model, prior_std=tuple(std.tolist()), ahead=model.rows)

@@ -5,8 +5,8 @@ simulated car behind its recorded leader (Treiber and Kesting, Traffic Flow Dyna
 """
 
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
@@ -17,7 +17,6 @@ from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.driver.utility import FAR, advance
 from sugiyama_ros.effects.control import law_acceleration
 from sugiyama_ros.effects.registry import ROW
-from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.joint import JointFit, fit_base, start_model
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import FOLDS, Recorded
@@ -26,8 +25,8 @@ from sugiyama_ros.jit import kernel
 from sugiyama_ros.laws.law import Law
 from sugiyama_ros.laws.registry import LAWS, PAPERS, number_of
 
-# The gaps of a driver are fitted only if there are more samples than this.
-_FEWEST = 50
+# The gaps of a driver are fitted only if there are more samples than this; maximum number of runs of a search.
+_FEWEST, _MOST = 50, 60
 
 
 def in_filter(data: Recorded, law: str, work: Executor) -> JointFit:
@@ -93,13 +92,9 @@ def _fit_driver(job: tuple[Recorded, str, Array, int, Array]) -> Array:
     # a leader of another length stands where a leader of the usual length would leave the same gap
     ahead = states[:, i, 0] + way + 0.5 * (usual - length)
     following = Following(
-        position_m=states[:, i, 0],
-        speed=states[:, i, 1],
-        leader_position_m=np.where(led, ahead, np.nan),
-        leader_speed=states[samples, leader, 1],
-        half_lengths_m=0.5 * float(around.length_m[:, i].max() + usual),
-        period_s=around.period_s,
-        source=f"{around.source}: vehicle {around.names[i].shown}",
+        np.column_stack((states[:, i, :2], np.where(led, ahead, np.nan), states[samples, leader, 1])),
+        0.5 * float(around.length_m[:, i].max() + usual),
+        around.period_s,
     )
     # the simulated car restarts with every block, because the first sample of a block is left out
     inside = (np.diff(data.block[i], prepend=-1) == 0) & (np.diff(data.segment[i], prepend=0) == 0)
@@ -107,54 +102,21 @@ def _fit_driver(job: tuple[Recorded, str, Array, int, Array]) -> Array:
     one = LAWS[law]
     if known.sum() <= _FEWEST:
         return np.tile(start, (FOLDS, 1))
-    everywhere = fit_gaps(one, following, known).parameters
+    everywhere = fit_gaps(one, following, known)
     masks = [known & (data.fold[i] != f) for f in range(FOLDS)]
-    return np.array([fit_gaps(one, following, m, everywhere).parameters if m.sum() > _FEWEST else start for m in masks])
+    return np.array([fit_gaps(one, following, m, everywhere) if m.sum() > _FEWEST else start for m in masks])
 
 
-# Number of starts to compare. Each parameter lies between its default divided and multiplied by the factor.
-_LOOKED_AT, _FACTOR = 64, 4.0
-# The sum of squares has many minima. The search takes a few steps from the best starts and follows the best of them.
-_FEW, _TRIED, _FOLLOWED = 10, 8, 2
-# Step of the difference quotients relative to the default: about the square root of the rounding error of a run.
-_STEP = 1e-7
-# A search ends when the sum of squares or the parameters change by less than this share, or after so many runs.
-_ENOUGH, _MOST = 1e-6, 60
+class Following(NamedTuple):
+    """Smoothed motion of one driver behind a leader.
 
-
-@dataclass(frozen=True, eq=False)
-class Following:
-    """Smoothed motion of one driver behind a leader, (T,) [m] and [m/s]; positions of centres do not wrap.
-
-    half_lengths_m: half of the sum of both vehicles' lengths [m]; source: name of the driver in error messages. Raises
-    InputError.
+    states: (T, 4), positions of centres [m], which do not wrap, and speeds [m/s] of the driver, then of the leader;
+    half_lengths_m: half of the sum of both vehicles' lengths [m]; period_s: time from one sample to the next [s].
     """
 
-    position_m: Array
-    speed: Array
-    leader_position_m: Array
-    leader_speed: Array
+    states: Array
     half_lengths_m: float
     period_s: float
-    source: str = "following"
-
-    def __post_init__(self) -> None:
-        shapes = {a.shape for a in (self.position_m, self.speed, self.leader_position_m, self.leader_speed)}
-        if len(shapes) > 1 or self.position_m.ndim != 1:
-            raise InputError(f"{self.source}: positions and speeds differ in length; give T samples of each")
-
-    @cached_property
-    def states(self) -> Array:
-        """Positions and speeds of the driver, then of the leader, (T, 4)."""
-        return np.column_stack((self.position_m, self.speed, self.leader_position_m, self.leader_speed))
-
-
-@dataclass(frozen=True, eq=False)
-class GapFit:
-    """A law fitted to the gaps of one driver: parameters in its order, and root mean square error of the gaps [m]."""
-
-    parameters: Array
-    rmse_m: float
 
 
 @kernel
@@ -194,35 +156,30 @@ def gap_errors(law: Law, parameters: Array, following: Following, chosen: Mask) 
     return errors.reshape(*parameters.shape[:-1], len(states))
 
 
-def fit_gaps(law: Law, following: Following, chosen: Mask, start: Array | None = None) -> GapFit:
-    """Fit a law by least squares of ``gap_errors``, from ``start`` or from many starts. Raises InputError."""
+def fit_gaps(law: Law, following: Following, chosen: Mask, start: Array | None = None) -> Array:
+    """Fit a law by least squares of ``gap_errors``, from ``start`` or from many starts; returns its parameters (K,)."""
     default, lower, upper = (np.array([getattr(p, of) for p in law.parameters]) for of in ("default", "lower", "upper"))
     scored = np.isfinite(gap_errors(law, default, following, chosen))
-    if scored.sum() <= len(default):
-        raise InputError(
-            f"{following.source}: {scored.sum()} samples cannot determine {len(default)} parameters of {law.name};"
-            " give more"
-        )
+    # about the square root of the rounding error of a run
+    step = 1e-7 * default
 
     def errors(rows: Array) -> Array:
         return gap_errors(law, rows, following, chosen)[..., scored]
 
     def slopes(parameters: Array) -> Array:
-        step = _STEP * default
         at = errors(np.vstack((parameters, parameters + np.diag(step))))
         return np.asarray(((at[1:] - at[0]) / step[:, None]).T)
 
     def search(start: Array, most: int) -> OptimizeResult:
         return least_squares(
-            errors, start, slopes, bounds=(lower, upper), x_scale=default, ftol=_ENOUGH, xtol=_ENOUGH, max_nfev=most
+            errors, start, slopes, bounds=(lower, upper), x_scale=default, ftol=1e-6, xtol=1e-6, max_nfev=most
         )
 
     if start is not None:
-        found = search(np.clip(start, lower, upper), _MOST)
-        return GapFit(found.x, float(np.sqrt(np.mean(np.square(found.fun)))))
-    places = qmc.Halton(len(default), scramble=False).random(_LOOKED_AT)
-    starts = np.clip(default * _FACTOR ** (2.0 * places - 1.0), lower, upper)
+        return np.asarray(search(np.clip(start, lower, upper), _MOST).x)
+    # the sum of squares has many minima: of many starts, each within a factor of 4 of the default, the search takes a
+    # few steps from the best ones, and follows the two best of them
+    starts = np.clip(default * 4.0 ** (2.0 * qmc.Halton(len(default), scramble=False).random(64) - 1.0), lower, upper)
     starts = starts[np.argsort(np.square(errors(starts)).sum(axis=1))]
-    tried = sorted((search(start, _FEW) for start in starts[:_TRIED]), key=lambda found: float(found.cost))
-    best = min((search(found.x, _MOST) for found in tried[:_FOLLOWED]), key=lambda found: float(found.cost))
-    return GapFit(best.x, float(np.sqrt(np.mean(np.square(best.fun)))))
+    tried = sorted((search(start, 10) for start in starts[:8]), key=lambda found: float(found.cost))
+    return np.asarray(min((search(found.x, _MOST) for found in tried[:2]), key=lambda found: float(found.cost)).x)

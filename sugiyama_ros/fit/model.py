@@ -8,7 +8,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.scoring import LONGEST, coordinate, is_linear, limited, limits, value
+from sugiyama_ros.fit.scoring import LONGEST, coordinate, is_linear, limits, value
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,45 +46,18 @@ class Model:
         return np.asarray((own - np.median(own, axis=0)) / np.array(self.prior_std))
 
 
-@dataclass(frozen=True, eq=False)
-class NewtonStep:
-    """A step of the search: changes of the individual (N, I) and of the shared coordinates (S,).
-
-    predicted_gains: (N,), predicted rise of the log posterior [nats] from each driver's individual changes;
-    predicted_gain: predicted rise from the whole step.
+def moved(data: Recorded, model: Model, individual: Array, shared: Array) -> Model:
+    """Return the model after changes of the individual (N, I) and of the shared coordinates (S,), within the bounds of
+    the search.
     """
-
-    individual: Array
-    shared: Array
-    predicted_gains: Array
-    predicted_gain: float
-
-
-def leaders(data: Recorded, model: Model, who: Sequence[int]) -> list[Array]:
-    """Return the rows (M - 1, WIDTH) of the vehicles ahead of each driver; the median driver's for an unknown one."""
-    chosen = np.asarray(who, dtype=np.int64)
-    ahead = data.ahead[chosen]
-    rows: Array = model.ahead[ahead]
-    if (ahead < 0).any():
-        rows[ahead < 0] = np.median(model.ahead, axis=0)
-    rows[:, :, model.shared] = model.rows[chosen[:, None], model.shared][:, None]
-    for k, _ in model.few:
-        rows[:, :, k] = np.where(ahead >= 0, model.rows[ahead, k], 0.0)
-    return [row[: data.chains[i].position_m.shape[1] - 1] for i, row in zip(chosen, rows, strict=True)]
-
-
-def moved(data: Recorded, model: Model, step: NewtonStep, share: float = 1.0) -> Model:
-    """Return the model after a step, or after a ``share`` of the step, within the bounds of the search."""
     rows = model.rows.copy()
-    own, shared = list(model.individual), list(model.shared)
-    for places, change in ((own, step.individual), (shared, step.shared * model.has)):
-        if not places:
+    for own, change in ((model.individual, individual), (model.shared, shared * model.has)):
+        if not own:
             continue
-        now = coordinate(rows[:, places], places)
+        places = list(own)
         longest = np.where(is_linear(places), reach(data, places), LONGEST)
-        rows[:, places] = np.clip(
-            value(now + limited(share * change, longest), places), *limits(places, data.lower, data.upper)
-        )
+        there = value(coordinate(rows[:, places], places) + np.clip(change, -longest, longest), places)
+        rows[:, places] = np.clip(there, *limits(places, data.lower, data.upper))
     for k, drivers in model.few:
         rows[~np.isin(np.arange(len(rows)), drivers), k] = 0.0
     return replace(model, rows=rows)

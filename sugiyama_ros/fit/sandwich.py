@@ -18,9 +18,9 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.effects.registry import ROW
-from sugiyama_ros.fit.joint import JointFit, at_model, objective
-from sugiyama_ros.fit.model import NewtonStep, moved
-from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.fit.joint import JointFit, at_model
+from sugiyama_ros.fit.model import moved
+from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.scoring import is_linear
 from sugiyama_ros.fit.slopes import density_slope
 
@@ -98,17 +98,13 @@ def _stretch(data: Recorded, fitted: JointFit, direction: Array, lifts: Array, w
 
     direction: (S,), one std of a parameter, with the response of the others; lifts: (N, I, S), response of individuals.
     """
-    everywhere, share = range(FOLDS), 1.0
-    here = objective(fitted.slopes, fitted.model, everywhere)
-    everyone = np.ones(data.drivers, np.bool_)
-    fall = 0.0
+    share, fall = 1.0, 0.0
     for _ in range(_DOUBLINGS):
         share *= 2.0
         falls = []
         for sign in (-share, share):
-            step = NewtonStep(-sign * lifts @ direction, sign * direction, np.zeros(data.drivers), 0.0)
-            there = at_model(data, fitted, moved(data, fitted.model, step), work, everyone)
-            falls.append(here - objective(there.slopes, there.model, everywhere))
+            model = moved(data, fitted.model, -sign * lifts @ direction, sign * direction)
+            falls.append(fitted.objective - at_model(data, fitted, model, work).objective)
         fall = float(np.mean(falls))
         if fall >= _CLEARLY:
             break

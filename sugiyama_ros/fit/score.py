@@ -1,39 +1,29 @@
 """Predictions of a model for every sample: innovations, their variances, log-likelihoods and filtered states."""
 
-import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from sugiyama_ros.arrays import Array, Mask
-from sugiyama_ros.filters import causal
 from sugiyama_ros.filters.abreast import ABREAST
+from sugiyama_ros.filters.causal import ChainJob, Predicted, predict_samples, predict_states
 from sugiyama_ros.filters.chain import Chain
 from sugiyama_ros.filters.state import STATE
-from sugiyama_ros.fit.model import Model, leaders
+from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded
 
 _Any = TypeVar("_Any")
 
 
-class DriverDensity(NamedTuple):
-    """Innovations [m], their variances [m^2] and log-likelihoods [nats] of one driver's samples, (T,) each.
-
-    The log-likelihood is NaN if the sample does not count.
-    """
-
-    innovation_m: Array
-    innovation_var: Array
-    log_likelihood: Array
-
-
 @dataclass(frozen=True, eq=False)
 class PointwiseDensity:
-    """Predictions of all samples of all drivers, (N, T) each, as those of one driver in ``DriverDensity``."""
+    """Predictions of all samples of all drivers, (N, T) each: innovations [m], their variances [m^2], log-likelihoods.
+
+    The log-likelihood [nats] is NaN if the sample does not count.
+    """
 
     innovation_m: Array
     innovation_var: Array
@@ -48,18 +38,11 @@ class PointwiseDensity:
         """Return a copy that shares no arrays."""
         return PointwiseDensity(self.innovation_m.copy(), self.innovation_var.copy(), self.log_likelihood.copy())
 
-    def only(self, who: Sequence[int]) -> "PointwiseDensity":
-        """Return the samples of some drivers, and NaN for the other drivers."""
-        some = unknown(*self.log_likelihood.shape)
-        for i in who:
-            some.put(i, self.of(i))
-        return some
-
-    def of(self, driver: int) -> DriverDensity:
+    def of(self, driver: int) -> Predicted:
         """Return the samples of one driver."""
-        return DriverDensity(self.innovation_m[driver], self.innovation_var[driver], self.log_likelihood[driver])
+        return Predicted(self.innovation_m[driver], self.innovation_var[driver], self.log_likelihood[driver])
 
-    def put(self, driver: int, samples: DriverDensity) -> None:
+    def put(self, driver: int, samples: Predicted) -> None:
         """Replace the samples of one driver."""
         self.innovation_m[driver], self.innovation_var[driver], self.log_likelihood[driver] = samples
 
@@ -70,36 +53,23 @@ def unknown(drivers: int, samples: int) -> PointwiseDensity:
 
 
 def evaluate(data: Recorded, model: Model, work: Executor, who: Sequence[int] | None = None) -> PointwiseDensity:
-    """Predict every sample."""
-    return next(evaluate_each(data, [model], work, who))
+    """Predict every sample, of all drivers or of the drivers in ``who``."""
+    return evaluate_each(data, [model], work, who)[0]
 
 
 def evaluate_each(
     data: Recorded, models: Sequence[Model], work: Executor, who: Sequence[int] | None = None
-) -> Iterator[PointwiseDensity]:
-    """Yield the predictions by each model, as of ``evaluate``; all filters may run side by side."""
+) -> list[PointwiseDensity]:
+    """Return the predictions by each model, as of ``evaluate``; all filters may run side by side."""
     chosen = range(data.drivers) if who is None else who
-    for found in predict_each(data, models, chosen, work):
-        samples = unknown(data.drivers, data.samples)
-        for i, at in zip(chosen, found, strict=True):
-            samples.put(i, at)
-        yield samples
-
-
-def predict_drivers(data: Recorded, model: Model, who: Iterable[int], work: Executor) -> list[DriverDensity]:
-    """Predict the samples of the drivers in ``who``; returns one result for each, in this order."""
-    return predict_each(data, [model], list(who), work)[0]
-
-
-def predict_each(
-    data: Recorded, models: Sequence[Model], who: Sequence[int], work: Executor
-) -> list[list[DriverDensity]]:
-    """Predict the samples of the drivers in ``who`` by each model; all filters may run side by side."""
-    parts = work.map(predict_jobs, together([job for model in models for job in jobs_of(data, model, who)]))
-    found, drivers = [one for part in parts for one in part], len(who)
-    for k, one in enumerate(found):
-        one.log_likelihood[~data.scored[who[k % drivers]]] = np.nan
-    return [found[k * drivers : (k + 1) * drivers] for k in range(len(models))]
+    parts = work.map(predict_samples, together([job for model in models for job in jobs_of(data, model, chosen)]))
+    predicted = iter([one for part in parts for one in part])
+    found = [unknown(data.drivers, data.samples) for _ in models]
+    for samples in found:
+        for i in chosen:
+            samples.put(i, next(predicted))
+        samples.log_likelihood[~data.scored] = np.nan
+    return found
 
 
 def together(drivers: Sequence[_Any]) -> list[Sequence[_Any]]:
@@ -108,17 +78,25 @@ def together(drivers: Sequence[_Any]) -> list[Sequence[_Any]]:
     return [drivers[first : first + size] for first in range(0, len(drivers), size)] if drivers else []
 
 
-def predict_jobs(jobs: Sequence[causal.ChainJob]) -> list[DriverDensity]:
-    """Predict the samples of some drivers; returns one result for each job."""
-    return [DriverDensity(*predicted) for predicted in causal.predict_samples(jobs)]
-
-
-def jobs_of(data: Recorded, model: Model, who: Sequence[int]) -> list[causal.ChainJob]:
+def jobs_of(data: Recorded, model: Model, who: Sequence[int]) -> list[ChainJob]:
     """Return the jobs of filtering the drivers in ``who`` at a model."""
     return [
-        causal.ChainJob(data.chains[i], model.rows[i], ahead, data.is_rough)
-        for i, ahead in zip(who, leaders(data, model, who), strict=True)
+        ChainJob(data.chains[i], model.rows[i], ahead, data.is_rough)
+        for i, ahead in zip(who, _leaders(data, model, who), strict=True)
     ]
+
+
+def _leaders(data: Recorded, model: Model, who: Sequence[int]) -> list[Array]:
+    """Return the rows (M - 1, WIDTH) of the vehicles ahead of each driver; the median driver's for an unknown one."""
+    chosen = np.asarray(who, dtype=np.int64)
+    ahead = data.ahead[chosen]
+    rows: Array = model.ahead[ahead]
+    if (ahead < 0).any():
+        rows[ahead < 0] = np.median(model.ahead, axis=0)
+    rows[:, :, model.shared] = model.rows[chosen[:, None], model.shared][:, None]
+    for k, _ in model.few:
+        rows[:, :, k] = np.where(ahead >= 0, model.rows[ahead, k], 0.0)
+    return [row[: data.chains[i].position_m.shape[1] - 1] for i, row in zip(chosen, rows, strict=True)]
 
 
 def filtered_states(data: Recorded, model: Model, work: Executor) -> Array:
@@ -133,7 +111,7 @@ def follow(data: Recorded, model: Model, work: Executor) -> tuple[PointwiseDensi
     order of their ``Adaptation``; NaN for vehicles that are no drivers.
     """
     jobs = jobs_of(data, model, range(data.drivers))
-    outputs = [one for part in work.map(causal.predict_states, together(jobs)) for one in part]
+    outputs = [one for part in work.map(predict_states, together(jobs)) for one in part]
     y, variance, density = (np.array([o[k] for o in outputs]) for k in range(3))
     tracks = [o[3] for o in outputs]
     preferences = [track[:, STATE * c.position_m.shape[1] :] for c, track in zip(data.chains, tracks, strict=True)]
@@ -192,30 +170,3 @@ def _moves(chain: Chain, m: int) -> Mask:
     is_new = np.diff(identity, prepend=-2) != 0
     before = np.maximum.accumulate(np.where(is_new, np.concatenate(([0], seen[:-1])), 0))
     return np.asarray((identity >= 0) & (seen - before >= 2))
-
-
-@dataclass(frozen=True)
-class Gain:
-    """Log-likelihood of one model minus the log-likelihood of another, over all samples, and its standard error."""
-
-    nats: float
-    se: float
-
-
-def gain(data: Recorded, better: PointwiseDensity, than: PointwiseDensity) -> Gain:
-    """Return the gain of one model over another, paired sample by sample."""
-    difference = better.log_likelihood - than.log_likelihood
-    known = np.isfinite(difference)
-    # who follows nobody is not predicted, and tells nothing of how drivers differ
-    by_driver = np.nansum(difference[known.any(axis=1)], axis=1)
-    # nor do blocks in which nothing is predicted
-    where, block = np.unique(data.block[known], return_inverse=True)
-    by_block = np.bincount(block, weights=difference[known], minlength=len(where))
-    se = max(sum_error(by_driver), sum_error(by_block))
-    return Gain(float(by_driver.sum()), se)
-
-
-def sum_error(parts: ArrayLike) -> float:
-    """Return the standard error of the sum of exchangeable parts (N,), by the jackknife."""
-    x = np.asarray(parts)
-    return math.sqrt(len(x) * float(np.var(x, ddof=1))) if len(x) > 1 else 0.0

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.effects.control import is_contaminated
-from sugiyama_ros.filters.causal import ChainJob
+from sugiyama_ros.filters.causal import ChainJob, Predicted, predict_samples
 from sugiyama_ros.filters.update import weigh_samples
 from sugiyama_ros.fit.model import Model, reach
 from sugiyama_ros.fit.recording import FOLDS, Recorded
-from sugiyama_ros.fit.score import DriverDensity, PointwiseDensity, evaluate, jobs_of, predict_jobs, together
+from sugiyama_ros.fit.score import PointwiseDensity, evaluate, jobs_of, together
 from sugiyama_ros.fit.scoring import coordinate, is_linear, value
 from sugiyama_ros.jit import kernel
 
@@ -77,7 +77,7 @@ def _stacked(columns: Sequence[Column]) -> Derivatives:
     return Derivatives(*(np.array([column[j] for column in columns], dtype=np.float64) for j in range(3)))
 
 
-def sums(samples: DriverDensity, columns: Sequence[Column], row: Array, fold: Ints) -> Slopes:
+def sums(samples: Predicted, columns: Sequence[Column], row: Array, fold: Ints) -> Slopes:
     """Sum the score and the information of one driver over the samples of each fold (T,).
 
     With outliers, the slope of its density weights each innovation, and the information is the sum of products of
@@ -91,7 +91,7 @@ def sums(samples: DriverDensity, columns: Sequence[Column], row: Array, fold: In
 
 @kernel
 def _add_up(
-    samples: DriverDensity,
+    samples: Predicted,
     derivatives: Derivatives,
     row: Array,
     fold: Ints,
@@ -140,14 +140,14 @@ class _Asked(NamedTuple):
     """A driver whose slopes are asked for: the driver at a model, predictions there, and the steps (K,) to take."""
 
     job: ChainJob
-    at: DriverDensity
+    at: Predicted
     steps: Array
 
 
 def _slopes_of(task: tuple[Sequence[_Asked], tuple[int, ...], tuple[int, ...], Sequence[Ints]]) -> list[Slopes]:
     """Score and information of some drivers by difference quotients; all their filters run side by side."""
     drivers, individual, shared, folds = task
-    moved = predict_jobs([job for asked in drivers for job in _moved(asked, individual, shared)])
+    moved = predict_samples([job for asked in drivers for job in _moved(asked, individual, shared)])
     found = []
     for number, ((job, at, steps), fold) in enumerate(zip(drivers, folds, strict=True)):
         there = moved[number * len(steps) : (number + 1) * len(steps)]
@@ -156,7 +156,7 @@ def _slopes_of(task: tuple[Sequence[_Asked], tuple[int, ...], tuple[int, ...], S
     return found
 
 
-def column(at: DriverDensity, there: DriverDensity, step: float, row: Array) -> Column:
+def column(at: Predicted, there: Predicted, step: float, row: Array) -> Column:
     """Return the difference quotients of a driver's samples; ``row``: the driver before the step."""
     dy, dvar = (there[0] - at[0]) / step, (there[1] - at[1]) / step
     if not is_contaminated(row):
