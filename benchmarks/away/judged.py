@@ -10,8 +10,8 @@ from scipy.stats import kstest
 from benchmarks.away.cases import Case, Pair, cases, recorded
 from sugiyama_ros.diagnosis.diagnose import Diagnosis, diagnose
 from sugiyama_ros.diagnosis.table import Difference, paired
+from sugiyama_ros.fit.model import evaluate
 from sugiyama_ros.fit.preparation import prepare
-from sugiyama_ros.fit.score import evaluate
 from sugiyama_ros.page.document import additions
 
 

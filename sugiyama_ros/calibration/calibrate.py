@@ -10,9 +10,8 @@ from sugiyama_ros.calibration.result import CalibratedDriver, Calibration, Setti
 from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.classes import find_classes
-from sugiyama_ros.fit.driver import Fit, SearchOptions, calibrate, jobs
+from sugiyama_ros.fit.driver import Fit, SearchOptions, calibrate, is_determined, jobs, quadratic
 from sugiyama_ros.fit.smooth_positions import evenness
-from sugiyama_ros.fit.standard_errors import is_determined, quadratic
 from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.progress import OnProgress
 from sugiyama_ros.trajectories.about import About
@@ -21,8 +20,8 @@ from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.workers import workers
 
 if TYPE_CHECKING:
+    from sugiyama_ros.fit.model import PointwiseDensity
     from sugiyama_ros.fit.recording import Recorded
-    from sugiyama_ros.fit.score import PointwiseDensity
 
 # What is known of a recording that only its positions are given of.
 _ORIGIN = About()
@@ -113,8 +112,8 @@ def _pooled(tracks: Tracks, road: DenseTracks | None, settings: Settings, work: 
     from sugiyama_ros.fit.joint import fit_base
     from sugiyama_ros.fit.law import in_filter
     from sugiyama_ros.fit.preparation import prepare
-    from sugiyama_ros.fit.sandwich import own_stds, shared_stds
     from sugiyama_ros.fit.smooth_positions import with_short_periods
+    from sugiyama_ros.fit.standard_errors import own_stds, shared_stds
 
     data, estimated = prepare(tracks, most=None), settings.estimated
     if settings.law == PAPERS:

@@ -29,6 +29,7 @@ from sugiyama_ros.calibration.result import (
 from sugiyama_ros.driver.parameters import SIGMA_A, index
 from sugiyama_ros.filters.extract import Drive
 from sugiyama_ros.fit.classes import find_classes
+from sugiyama_ros.fit.coordinates import lower_bounds, upper_bounds
 from sugiyama_ros.fit.driver import (
     START_SIGMA_A,
     DriverChains,
@@ -40,7 +41,6 @@ from sugiyama_ros.fit.driver import (
     predicted,
 )
 from sugiyama_ros.fit.preparation import evenness_on, fastest_on, followers, following_s, run_of
-from sugiyama_ros.fit.scoring import lower_bounds, upper_bounds
 from sugiyama_ros.progress import OnProgress
 from sugiyama_ros.trajectories.dense import numbers_of
 from sugiyama_ros.trajectories.time_base import on_time_base

@@ -15,9 +15,8 @@ from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.files import Target
 from sugiyama_ros.fit.classes import Classes, DriverTypes
-from sugiyama_ros.fit.driver import Fit, Formulation
+from sugiyama_ros.fit.driver import Fit, Formulation, quadratic
 from sugiyama_ros.fit.smooth_positions import ESTIMATED
-from sugiyama_ros.fit.standard_errors import quadratic
 from sugiyama_ros.laws.registry import PAPERS, law
 from sugiyama_ros.results import BLUE, Result, TextTable, plain
 from sugiyama_ros.trajectories.about import About

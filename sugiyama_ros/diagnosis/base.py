@@ -1,31 +1,35 @@
-"""The model that a diagnosis begins with: which noises are fitted, and how often its drivers decide.
+"""The model that a diagnosis begins with, and the other car-following laws that its model has to be ahead of.
 
 The paper keeps the noises of position and speed at constants that suit its recording. Where vehicles move more evenly,
 the constants leave the driver model nothing to explain: the noise of the acceleration goes to 0, and the innovations
 are too small. And a camera with two or three pictures a second may see drivers who decide between its pictures.
 """
 
-from concurrent.futures import Executor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
 
+import numpy as np
+
 from sugiyama_ros.diagnosis.candidates import Candidate
+from sugiyama_ros.diagnosis.forecast import Surroundings, forecasts
+from sugiyama_ros.diagnosis.refine import without_folds
 from sugiyama_ros.diagnosis.score import scores
-from sugiyama_ros.diagnosis.table import paired
+from sugiyama_ros.diagnosis.table import CLEARLY, Entry, paired, sum_error
 from sugiyama_ros.driver.parameters import index
-from sugiyama_ros.fit.joint import JointFit
-from sugiyama_ros.fit.law import in_filter
+from sugiyama_ros.effects.registry import ROW
+from sugiyama_ros.filters.abreast import ABREAST
+from sugiyama_ros.fit.joint import JointFit, fit_nearly
+from sugiyama_ros.fit.law import in_filter, start_of_drivers
+from sugiyama_ros.fit.model import PointwiseDensity, unknown
 from sugiyama_ros.fit.preparation import prepare
-from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.score import PointwiseDensity, unknown
+from sugiyama_ros.fit.recording import Recorded, some_drivers
 from sugiyama_ros.fit.smooth_positions import FREED, ROUNDING
-from sugiyama_ros.laws.registry import PAPERS
+from sugiyama_ros.laws.registry import LAWS, PAPERS, name_of
 from sugiyama_ros.progress import OnStage
 from sugiyama_ros.trajectories.tracks import Tracks
 
 # Standard errors by which another base model must be better: a missing effect makes it a little better, too.
 _CLEAR = 5.0
-# Shortest time [s] between two decisions that is tried: nobody decides ten times a second.
-_SHORTEST_S = 0.1
 _NOISES = Candidate("noises", "noises", "noise", tuple(map(index, FREED)), ({},))
 
 
@@ -64,7 +68,8 @@ def with_more_decisions(
     if data.every > data.decisions:
         return None
     found, best = None, base.samples.total
-    most = int(data.apart_s / _SHORTEST_S * (1.0 + ROUNDING))
+    # nobody decides more often than ten times a second
+    most = int(data.apart_s / 0.1 * (1.0 + ROUNDING))
     for parts in range(data.decisions + 1, most + 1):
         on_progress("more decisions between samples", parts - data.decisions - 1, most - data.decisions)
         finer, again = base_model(prepare(recording, parts), work, law)
@@ -84,3 +89,28 @@ def _where_measured(data: Recorded, samples: PointwiseDensity, every: int) -> Po
     known = unknown(data.drivers, data.samples)
     known.log_likelihood[:, :: data.every] = samples.log_likelihood[:, ::every]
     return known
+
+
+def laws(data: Recorded, around: Surroundings, final: Entry, work: ThreadPoolExecutor) -> tuple[Entry, ...]:
+    """Fit all other laws that are not far behind a model one step ahead; ``around``: the traffic of the forecasts."""
+    own = name_of(float(final.fit.model.rows[0, ROW.law]))
+    found = []
+    for law in LAWS:
+        if law == own or _is_far_behind(data, law, final, work):
+            continue
+        fit = in_filter(data, law, work)
+        models = without_folds(data, fit, work)
+        found.append(Entry(law, (), fit, models, forecasts(data, around, models, work)))
+    return tuple(found)
+
+
+def _is_far_behind(data: Recorded, law: str, final: Entry, work: ThreadPoolExecutor) -> bool:
+    """Whether a law predicts some drivers one step ahead clearly worse, although it was fitted to these samples."""
+    if data.drivers <= 2 * ABREAST:
+        return False
+    who = [k * data.drivers // ABREAST for k in range(ABREAST)]
+    some = some_drivers(data, who)
+    start = start_of_drivers(some, law)
+    fit = fit_nearly(some, start.individual, work, start)
+    ahead = np.nansum(final.forecasts.one_step[who], axis=1) - np.nansum(fit.samples.log_likelihood, axis=1)
+    return bool(ahead.sum() > 2.0 * CLEARLY * sum_error(ahead))

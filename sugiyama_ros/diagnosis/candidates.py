@@ -18,9 +18,8 @@ from sugiyama_ros.effects.registry import EFFECTS, MECHANISM, ROW, index_of
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.first_look import SIGMAS
 from sugiyama_ros.fit.joint import LARGEST_STD
-from sugiyama_ros.fit.model import Model
+from sugiyama_ros.fit.model import Model, PointwiseDensity
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.score import PointwiseDensity
 
 #: What a candidate changes. Constants and noises never explain anything.
 Kind = Literal["effect", "measurement", "force", "constants", "noise"]
@@ -34,8 +33,6 @@ PUSH = "external_push"
 _RUNS_S, _PUSH = (1.0, 2.0, 4.0), 0.5
 #: What is added to the name of a candidate that only some drivers have.
 OF_SOME = "_of_some"
-# A recording on which every effect that is searched for at all has a start.
-_A_RING = Extent(0.0, 100.0, 100.0, 0.0, 100.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,10 +43,10 @@ class Candidate:
     mechanism, of which the candidate may be one form among others; kind: What the candidate changes; places:
     Entries of the rows that become free; starts: Where the candidate is scored. A start without values is the model
     itself, with the entries free; individual: Whether every driver has individual values; switches: Places of the
-    strengths of an effect: where all of them are 0, the effect does nothing; has_sign: Whether only positive
-    strengths make sense; drivers: Numbers of the drivers who have it; empty for all; is_random: Whether the
-    candidate changes how uncertain a forecast is, and not its mean: noises, and what wanders; elsewhere: Logarithm
-    of the number of places, times and cars among which the start was chosen (look-elsewhere effect).
+    strengths of an effect: where all of them are 0, the effect does nothing; drivers: Numbers of the drivers who have
+    it; empty for all; is_random: Whether the candidate changes how uncertain a forecast is, and not its mean: noises,
+    and what wanders; elsewhere: Logarithm of the number of places, times and cars among which the start was chosen
+    (look-elsewhere effect).
     """
 
     name: str
@@ -59,7 +56,6 @@ class Candidate:
     starts: tuple[Start, ...]
     individual: bool = False
     switches: tuple[int, ...] = ()
-    has_sign: bool = False
     drivers: tuple[int, ...] = ()
     is_random: bool = False
     elsewhere: float = 0.0
@@ -68,6 +64,11 @@ class Candidate:
     def explains(self) -> bool:
         """Whether the candidate can explain what was missing: it has a physical name."""
         return self.kind in ("effect", "measurement")
+
+    @property
+    def has_sign(self) -> bool:
+        """Whether only positive strengths make sense."""
+        return any(ROW.declared[k].lower >= 0.0 for k in self.switches)
 
     @property
     def rank(self) -> int:
@@ -119,7 +120,6 @@ def _of_effect(e: Effect, data: Recorded) -> Candidate:
         starts=tuple({index_of(e.name, p): v for p, v in values.items()} for values in e.starts(recording_of(data))),
         individual=e.individual,
         switches=switches,
-        has_sign=any(ROW.declared[k].lower >= 0.0 for k in switches),
         is_random=e.is_noise or bool(e.wanders),
     )
 
@@ -193,7 +193,7 @@ def with_candidate(model: Model, candidate: Candidate, start: Start) -> Model:
 
 def not_searched(data: Recorded) -> dict[str, str]:
     """Return the effects that this recording cannot show, with the reason, by name."""
-    return {name: why for name, e in EFFECTS.items() if e.starts(_A_RING) and (why := why_not(e, data))}
+    return {name: why for name, e in EFFECTS.items() if e.is_searched and (why := why_not(e, data))}
 
 
 def why_not(e: Effect, data: Recorded) -> str:

@@ -14,22 +14,15 @@ Ann. Statist. 41 (2013) 2786.
 
 import math
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import norm
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.diagnosis.candidates import Candidate
-from sugiyama_ros.diagnosis.score import Score, scores
+from sugiyama_ros.diagnosis.score import Score
 from sugiyama_ros.diagnosis.table import ALPHA
-from sugiyama_ros.fit.joint import JointFit
-from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.simulated import resampled_fits, seeds
-from sugiyama_ros.progress import OnStage
 
 # Draws from the null distribution: the smallest p-value is a thousandth.
 _DRAWS = 999
@@ -171,22 +164,3 @@ def _limited(one: Score) -> Array:
         return one.score
     std = np.sqrt(np.maximum(np.diagonal(one.information, axis1=1, axis2=2), 0.0))
     return np.asarray(np.clip(one.score, -_LARGEST * std, _LARGEST * std))
-
-
-class Simulated:
-    """Recordings that a fitted model simulates, with the fits to them, made when asked for."""
-
-    def __init__(
-        self, data: Recorded, fitted: JointFit, seed: int, count: int, work: ThreadPoolExecutor, on_progress: OnStage
-    ) -> None:
-        self._given = data, fitted, seeds(seed, count), work, on_progress
-        self._work = work
-
-    @cached_property
-    def recordings(self) -> list[tuple[Recorded, JointFit]]:
-        """The recordings, with the fits to them."""
-        return resampled_fits(*self._given)
-
-    def scores(self, candidates: Sequence[Candidate]) -> list[list[Score]]:
-        """Scores of candidates, and of forces, in each recording."""
-        return [scores(data, fitted, candidates, self._work) for data, fitted in self.recordings]

@@ -25,8 +25,8 @@ from sugiyama_ros.diagnosis.table import Entry
 from sugiyama_ros.diagnosis.where import Located, failing, locate
 from sugiyama_ros.filters.extract import motion_of
 from sugiyama_ros.fit.joint import JointFit
+from sugiyama_ros.fit.model import filtered_states
 from sugiyama_ros.fit.recording import BLOCK_S, Recorded
-from sugiyama_ros.fit.score import filtered_states
 from sugiyama_ros.fit.simulated import resample, seeds
 from sugiyama_ros.simulation.collective import Collective, collective
 from sugiyama_ros.trajectories.dense import DenseTracks

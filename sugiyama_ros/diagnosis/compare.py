@@ -16,11 +16,10 @@ from sugiyama_ros.diagnosis.table import Difference, gains
 from sugiyama_ros.filters.extract import motion_of
 from sugiyama_ros.fit.joint import JointFit, fit
 from sugiyama_ros.fit.law import by_gaps, in_filter
-from sugiyama_ros.fit.model import Model
+from sugiyama_ros.fit.model import Model, filtered_states
 from sugiyama_ros.fit.model_file import ModelFile
 from sugiyama_ros.fit.preparation import prepare
 from sugiyama_ros.fit.recording import FOLDS, Recorded, Vicinity
-from sugiyama_ros.fit.score import filtered_states
 from sugiyama_ros.fit.simulated import resample, seeds
 from sugiyama_ros.laws.registry import LAWS, RIVALS
 from sugiyama_ros.progress import OnStage

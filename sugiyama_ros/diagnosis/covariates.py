@@ -4,9 +4,9 @@ A push of one period moves the innovations of the next seconds, by nearly the sa
 shows these amounts once. The change of the samples by any small force is then the force convolved with them.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.signal import lfilter
@@ -16,33 +16,25 @@ from sugiyama_ros.diagnosis.candidates import FORCE, Candidate, force_along
 from sugiyama_ros.effects.discovered_force import COVARIATES, KNOTS, LONGEST_S, MOVING
 from sugiyama_ros.effects.registry import index_of
 from sugiyama_ros.fit.joint import JointFit
+from sugiyama_ros.fit.model import evaluate, filtered_states
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.score import evaluate, filtered_states
 
 _FIRST = index_of(FORCE, "covariate")
 # Size [m/s^2] of a push, and how many there are: any size in the linear range, enough pushes for a median.
 _PUSH, _PUSHES = 0.3, 4
 # A push shows in the innovations for so long [s]: longer than any filter remembers.
 _SHOWS_S = 4.0
-# A curve lies between these quantiles of its covariate.
-_INNER = (0.02, 0.98)
 # Fewest samples at which a covariate must be known.
 _FEWEST = 100
 
 
-@dataclass(frozen=True, eq=False)
-class Force:
-    """A force along a covariate, and the change of the innovations [m] by 1 m/s^2 at each knot, (K, N, T)."""
+def forces(data: Recorded, fitted: JointFit, work: Executor) -> Iterator[tuple[Candidate, Array]]:
+    """Yield a force along each covariate that the recording shows, one after the other.
 
-    candidate: Candidate
-    change: Array
-
-
-def forces(data: Recorded, fitted: JointFit, work: Executor) -> Iterator[Force]:
-    """Yield a force along each covariate that the recording shows, one after the other."""
+    With it comes the change of the innovations [m] by 1 m/s^2 at each knot, (K, N, T).
+    """
     states = filtered_states(data, fitted.model, work)
     seen = covariates_of(data, states)
-    seen |= further_covariates(data, states, seen)
     around, response = data.vicinity, _response(data, fitted, work)
     for name in COVARIATES:
         values = seen[name].T
@@ -50,10 +42,10 @@ def forces(data: Recorded, fitted: JointFit, work: Executor) -> Iterator[Force]:
         if len(known) < _FEWEST or (name == "time" and not around.is_whole_road):
             continue
         ring = name == "place" and around.road.is_ring
-        first, last = (0.0, around.road.circumference_m) if ring else np.quantile(known, _INNER).tolist()
+        first, last = (0.0, around.road.circumference_m) if ring else np.quantile(known, (0.02, 0.98)).tolist()
         if last > first:
             knots = _weights(values, first, last, is_periodic=ring)
-            yield Force(force_along(name, first, last), lfilter(response, [1.0], knots, axis=2))
+            yield force_along(name, first, last), lfilter(response, [1.0], knots, axis=2)
 
 
 def _weights(values: Array, first: float, last: float, *, is_periodic: bool) -> Array:
@@ -95,7 +87,8 @@ def covariates_of(data: Recorded, state: Array) -> dict[str, Array]:
     """Return what filtered states (T, V, 4) say of the surroundings of the drivers at each sample, (T, N) by name.
 
     Gaps [m], speed [m/s], and approach rates [m/s]: the driver's speed minus the speed of the vehicle ahead, and the
-    speed of the vehicle behind minus the driver's; place [m] and time [s]. NaN where unknown.
+    speed of the vehicle behind minus the driver's; place [m], time gap and time [s]; accelerations [m/s^2] in the last
+    period. NaN where unknown.
     """
     around, drivers = data.vicinity, data.drivers
     x, v = around.road.wrap(state[:, :, 0]), state[:, :, 1]
@@ -111,18 +104,13 @@ def covariates_of(data: Recorded, state: Array) -> dict[str, Array]:
         "second_approach_rate": v - _ahead(_ahead(v, leader), leader),
         "place": x if around.has_places else np.full_like(x, np.nan),
     }
-    return {**{name: values[:, :drivers] for name, values in found.items()}, "time": around.time_s}
-
-
-def further_covariates(data: Recorded, state: Array, seen: Mapping[str, Array]) -> dict[str, Array]:
-    """Return what else a force may depend on, (T, N): time gap [s], accelerations [m/s^2] in the last period."""
-    leader, drivers = data.vicinity.leader, data.drivers
     acceleration = state[:, :, 2] + state[:, :, 3]
-    return {
-        "time_gap": np.minimum(seen["gap"] / np.maximum(seen["speed"], MOVING), LONGEST_S),
-        "leader_acceleration": _ahead(acceleration, leader)[:, :drivers],
-        "acceleration": acceleration[:, :drivers],
+    found |= {
+        "time_gap": np.minimum(gap / np.maximum(v, MOVING), LONGEST_S),
+        "acceleration": acceleration,
+        "leader_acceleration": _ahead(acceleration, leader),
     }
+    return {**{name: values[:, :drivers] for name, values in found.items()}, "time": around.time_s}
 
 
 def _ahead(values: Array, leader: Ints) -> Array:

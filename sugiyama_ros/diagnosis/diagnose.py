@@ -16,13 +16,12 @@ import numpy as np
 from scipy.stats import norm
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.diagnosis.base import base_model, with_more_decisions
+from sugiyama_ros.diagnosis.base import base_model, laws, with_more_decisions
 from sugiyama_ros.diagnosis.candidates import Candidate, candidates, chosen, push_of_one
-from sugiyama_ros.diagnosis.chance import Chance, Simulated, chance_of
+from sugiyama_ros.diagnosis.chance import Chance, chance_of
 from sugiyama_ros.diagnosis.check import Check, checks, judged
 from sugiyama_ros.diagnosis.forecast import HORIZONS_S, Surroundings, driven, forecasts, surroundings
 from sugiyama_ros.diagnosis.refine import refined, without, without_folds
-from sugiyama_ros.diagnosis.rivals import laws
 from sugiyama_ros.diagnosis.score import Score, scores
 from sugiyama_ros.diagnosis.table import ALPHA, Difference, Entry, errors, is_better
 from sugiyama_ros.diagnosis.where import Located, locate
@@ -32,7 +31,8 @@ from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.model_file import write_model
 from sugiyama_ros.fit.preparation import prepare
 from sugiyama_ros.fit.recording import FOLDS, Recorded
-from sugiyama_ros.fit.sandwich import shared_stds
+from sugiyama_ros.fit.simulated import resampled_fits, seeds
+from sugiyama_ros.fit.standard_errors import shared_stds
 from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.progress import OnStage
 from sugiyama_ros.results import Result, bars, plain, to_json
@@ -52,47 +52,39 @@ class Round:
     """One round: what was scored and fitted beside a model, and what was added to it.
 
     current: The model at the beginning of the round; scores: The best score of each mechanism, the most improbable
-    one first; chance: What chance gives; entries: The models that were fitted, the best one first; gains:
-    Difference of each over the current model, by column; added: The model to go on with; None if no model is
-    clearly better; alike: Models that cannot be told apart from the one that was added.
+    one first; chance: What chance gives; gains: The models that were fitted, the best one first, with their gains over
+    the current model, by column; added: The model to go on with; None if no model is clearly better; gain: What it
+    gains on unseen data, by column; alike: Models that cannot be told apart from the one that was added.
     """
 
     current: Entry
     scores: tuple[Score, ...]
     chance: Chance
-    entries: tuple[Entry, ...]
-    gains: tuple[dict[str, Difference], ...]
+    gains: dict[Entry, dict[str, Difference]]
     added: Entry | None
-    alike: tuple[Entry, ...]
+    gain: dict[str, Difference]
+    alike: tuple[Entry, ...] = ()
 
     @property
-    def closest_effect(self) -> Entry | None:
-        """The best model with an effect that has a physical name."""
-        return next((e for e in self.entries if e.added[-1].explains), None)
-
-
-@dataclass(frozen=True, eq=False)
-class Step:
-    """What one round has added.
-
-    before, after: The model before and after; gain: What it gains on unseen data, by column; of: The round.
-    """
-
-    before: Entry
-    after: Entry
-    gain: dict[str, Difference]
-    of: Round
+    def after(self) -> Entry:
+        """The model at the end of the round."""
+        return self.added or self.current
 
     @property
     def new(self) -> tuple[Candidate, ...]:
         """What was added."""
-        return tuple(c for c in self.after.added if c not in self.before.added)
+        return tuple(c for c in self.after.added if c not in self.current.added)
 
     @property
     def is_supported(self) -> bool:
-        """Whether the data ask for it: chance rarely shows as much, and unseen data are forecast better."""
-        rare = all(self.of.chance.p_values.get(c.mechanism, 1.0) < ALPHA for c in self.new)
+        """Whether the data ask for what was added: chance rarely shows as much, and unseen data are forecast better."""
+        rare = all(self.chance.p_values.get(c.mechanism, 1.0) < ALPHA for c in self.new)
         return rare and is_better(self.gain)
+
+    @property
+    def closest_effect(self) -> Entry | None:
+        """The best model with an effect that has a physical name."""
+        return next((e for e in self.gains if e.added[-1].explains), None)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -105,8 +97,6 @@ class Diagnosis(Result):
         The recording.
     rounds : tuple of Round
         What was scored, fitted and added, in order.
-    steps : tuple of Step
-        What was added, in order.
     base, final : Entry
         The model without and with the additions.
     laws : tuple of Entry
@@ -135,7 +125,6 @@ class Diagnosis(Result):
 
     data: Recorded
     rounds: tuple[Round, ...]
-    steps: tuple[Step, ...]
     base: Entry
     final: Entry
     laws: tuple[Entry, ...]
@@ -151,6 +140,11 @@ class Diagnosis(Result):
     simulations: int
     seed: int
     wall_s: float
+
+    @property
+    def steps(self) -> tuple[Round, ...]:
+        """The rounds that have added something, in order."""
+        return tuple(one for one in self.rounds if one.added is not None)
 
     @property
     def outcome(self) -> Outcome:
@@ -296,17 +290,19 @@ class _Bench:
     seed: int
     work: ThreadPoolExecutor
     on_progress: OnStage
-    known: dict[JointFit, Simulated]
+    known: dict[JointFit, list[tuple[Recorded, JointFit]]]
 
     def entry(self, name: str, added: tuple[Candidate, ...], fit: JointFit, beside: Sequence[Model] = ()) -> Entry:
         """A fitted model with its held-out forecasts; ``beside``: models without folds of the fit that it extends."""
         models = without_folds(self.data, fit, self.work, beside)
         return Entry(name, added, fit, models, forecasts(self.data, self.around, models, self.work))
 
-    def simulated(self, fit: JointFit) -> Simulated:
-        """Recordings that a model simulates, made once."""
-        made = Simulated(self.data, fit, self.seed, self.simulations, self.work, self.on_progress)
-        return self.known.setdefault(fit, made)
+    def simulated(self, fit: JointFit) -> list[tuple[Recorded, JointFit]]:
+        """Recordings that a model simulates, with the fits to them, made once."""
+        if fit not in self.known:
+            rngs = seeds(self.seed, self.simulations)
+            self.known[fit] = resampled_fits(self.data, fit, rngs, self.work, self.on_progress)
+        return self.known[fit]
 
 
 def _bench(
@@ -344,11 +340,12 @@ def _scored(bench: _Bench, fit: JointFit, rounds: Sequence[Round] = ()) -> _Scor
         if one.candidate.mechanism not in known:
             by_name.setdefault(one.candidate.name, []).append(one)
     every = [one for own in by_name.values() for one in own]
-    chance, simulated = chance_of(every, [], bench.seed), bench.simulated(fit)
+    chance = chance_of(every, [], bench.seed)
     if chance.shows_something:
         # what the filter's approximations do must be known only where there is something to explain
         promising = [c for c in left if chance.p_values.get(c.mechanism, 1.0) < ALPHA]
-        chance = chance_of(every, simulated.scores(promising), bench.seed)
+        there = [scores(data, again, promising, bench.work) for data, again in bench.simulated(fit)]
+        chance = chance_of(every, there, bench.seed)
     return _Scored(by_name, chance)
 
 
@@ -370,12 +367,11 @@ def _told(bench: _Bench, first: Entry, found: _Scored, names: Sequence[str]) -> 
         scored = [own[0].candidate for own in found.by_name.values()]
         candidate = chosen(bench.data, [*bench.possible, *scored], name)
         entry = _fitted(bench, current, candidate, found)
-        entries = (entry, *_other_forms(bench, current, found, [entry]))
-        won = tuple(e.over(bench.data, current) for e in entries)
-        rounds.append(Round(current, found.best, found.chance, entries, won, entry, ()))
+        won = {e: e.over(bench.data, current) for e in (entry, *_other_forms(bench, current, found, [entry]))}
+        rounds.append(Round(current, found.best, found.chance, won, entry, won[entry]))
         current = entry
         found = _scored(bench, current.fit, rounds)
-    return [*rounds, Round(current, found.best, found.chance, (), (), None, ())]
+    return [*rounds, Round(current, found.best, found.chance, {}, None, {})]
 
 
 def _fitted(bench: _Bench, current: Entry, candidate: Candidate, found: _Scored) -> Entry:
@@ -413,15 +409,16 @@ def _round(bench: _Bench, current: Entry, found: _Scored) -> Round:
         fitted = [first, *(e for e in won if e is not first)]
         won |= {e: e.over(bench.data, current) for e in _other_forms(bench, current, found, fitted)}
     added, alike = _best(bench, won)
-    entries = sorted(won, key=lambda e: -won[e]["all"].nats)
+    if added is not None:
+        added = _without_needless(bench, current, added)
     return Round(
-        current,
-        found.best,
-        found.chance,
-        tuple(entries),
-        tuple(won[e] for e in entries),
-        None if added is None else _without_needless(bench, current, added),
-        tuple(alike),
+        current=current,
+        scores=found.best,
+        chance=found.chance,
+        gains=dict(sorted(won.items(), key=lambda one: -one[1]["all"].nats)),
+        added=added,
+        gain={} if added is None else added.over(bench.data, current),
+        alike=tuple(alike),
     )
 
 
@@ -464,22 +461,17 @@ def _best(bench: _Bench, won: dict[Entry, dict[str, Difference]]) -> tuple[Entry
 def _concluded(bench: _Bench, rounds: list[Round], asked: tuple[str, ...], simulations: int, began: float) -> Diagnosis:
     """The final model, other laws, and the checks."""
     data, work = bench.data, bench.work
-    base, final = rounds[0].current, rounds[-1].added or rounds[-1].current
+    base, final = rounds[0].current, rounds[-1].after
     bench.on_progress("checking the final model", 0, 1)
     simulated = bench.simulated(final.fit)
     own = [
-        forecasts(one, surroundings(one, fitted.model, work), [fitted.model] * FOLDS, work)
-        for one, fitted in simulated.recordings
+        forecasts(one, surroundings(one, fitted.model, work), [fitted.model] * FOLDS, work) for one, fitted in simulated
     ]
     rivals = laws(data, bench.around, final, work)
-    found = [*checks(data, final, simulated.recordings, own, bench.seed, work), *_left(rounds, data, final, rivals)]
-    steps = [
-        Step(one.current, one.added, one.added.over(data, one.current), one) for one in rounds if one.added is not None
-    ]
+    found = [*checks(data, final, simulated, own, bench.seed, work), *_left(rounds, data, final, rivals)]
     return Diagnosis(
         data=data,
         rounds=tuple(rounds),
-        steps=tuple(steps),
         base=base,
         final=final,
         laws=rivals,
@@ -490,7 +482,7 @@ def _concluded(bench: _Bench, rounds: list[Round], asked: tuple[str, ...], simul
         driven_before=driven(data, base.models, work),
         driven_after=driven(data, final.models, work),
         stds=shared_stds(data, final.fit, work),
-        smallest=() if steps else tuple(_smallest(rounds[0])),
+        smallest=() if any(one.added for one in rounds) else tuple(_smallest(rounds[0])),
         asked=asked,
         simulations=simulations,
         seed=bench.seed,
@@ -528,11 +520,11 @@ def _left(rounds: Sequence[Round], data: Recorded, final: Entry, rivals: Sequenc
         left.append(
             Check(f"left_for_{best.candidate.name}", best.gain, 0.0, "nats", p_values[best.candidate.mechanism])
         )
-    for added, entries in ((one.added, one.entries) for one in rounds if one.added is not None):
+    for one in rounds[: -1 if last.added is None else None]:
         # the best other form of what was added: unseen data may prefer it
-        new = added.added[-1]
-        forms = [e for e in entries if e.added[-1].mechanism == new.mechanism and e.added[-1] is not new]
-        left += sorted((_gain_of(e, added, data) for e in forms), key=lambda check: check.value)[-1:]
+        new = one.after.added[-1]
+        forms = [e for e in one.gains if e.added[-1].mechanism == new.mechanism and e.added[-1] is not new]
+        left += sorted((_gain_of(e, one.after, data) for e in forms), key=lambda check: check.value)[-1:]
     return left + [_gain_of(one, final, data) for one in rivals]
 
 

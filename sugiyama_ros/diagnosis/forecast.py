@@ -30,18 +30,15 @@ from sugiyama_ros.filters.causal import ChainJob, filter_each
 from sugiyama_ros.filters.chain import adaptation_of
 from sugiyama_ros.filters.state import STATE
 from sugiyama_ros.filters.update import SETTLING
-from sugiyama_ros.fit.model import Model
+from sugiyama_ros.fit.model import Model, PointwiseDensity, between_measurements, filtered_states, jobs_of, together
 from sugiyama_ros.fit.recording import FOLDS, Recorded, Vicinity
-from sugiyama_ros.fit.score import PointwiseDensity, between_measurements, filtered_states, jobs_of, together
 from sugiyama_ros.simulation.drive import Order, Setting
 from sugiyama_ros.simulation.free_run import run_coupled, run_single
 
 #: Times [s] after the start at which forecasts are judged.
 HORIZONS_S = (1.0, 2.0, 5.0, 10.0)
-# Time [s] between two starts: half of the longest horizon; number of pairs of opposite draws.
-_EVERY_S, _PAIRS = 5.0, 4
-# Turns of a fixed point that halves its distance in each.
-_TURNS = 20
+# Number of pairs of opposite draws.
+_PAIRS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,10 +92,10 @@ class Surroundings:
 
 
 def surroundings(data: Recorded, model: Model, work: Executor) -> Surroundings:
-    """Return the traffic as a model's filter sees it, and where forecasts start: every 5 s."""
+    """Return the traffic as a model's filter sees it, and where forecasts start: each half of the longest horizon."""
     around = data.vicinity
     steps = data.every * np.array([max(1, round(h / data.apart_s)) for h in HORIZONS_S])
-    apart = data.every * max(1, round(_EVERY_S / data.apart_s))
+    apart = data.every * max(1, round(0.5 * HORIZONS_S[-1] / data.apart_s))
     starts = np.arange(data.every * math.ceil((SETTLING + 4) / data.every), data.samples - steps[-1], apart)
     unbroken = data.segment[:, starts - SETTLING] == data.segment[:, starts + steps[-1]]
     unbroken &= data.scored[:, starts]
@@ -163,7 +160,8 @@ def _scale(squares: Array) -> float:
     The fixed point is the EM algorithm's. Drivers of whom nothing is known do not count as much as a mean lets them.
     """
     free, factor = 2.0 * _PAIRS - 1.0, float(np.median(squares)) if len(squares) else 0.0
-    for _ in range(_TURNS if factor > 0.0 else 0):
+    # each turn halves the distance to the fixed point
+    for _ in range(20 if factor > 0.0 else 0):
         factor = float(np.mean((free + 1.0) * squares / (free - 2.0 + squares / factor)))
     return factor or 1.0
 

@@ -10,14 +10,14 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import Candidate, candidates, chosen, with_candidate
 from sugiyama_ros.diagnosis.score import Score, ScoreOfSome, scores
 from sugiyama_ros.effects.registry import ROW
+from sugiyama_ros.fit.coordinates import is_linear
 from sugiyama_ros.fit.joint import JointFit, at_model, maximise, renewed
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import FOLDS, Recorded
-from sugiyama_ros.fit.scoring import is_linear
 from sugiyama_ros.fit.slopes import no_density
 
-# Steps of a full fit, how often it computes its derivatives again, and steps of a fit without a fold, which is near.
-_STEPS, _RENEWALS, _STEPS_WITHOUT = 12, 2, 3
+# Steps of a fit without a fold, which is near.
+_STEPS_WITHOUT = 3
 
 
 def refined(data: Recorded, fitted: JointFit, candidate: Candidate, found: Sequence[Score], work: Executor) -> JointFit:
@@ -56,7 +56,7 @@ def with_named(data: Recorded, fitted: JointFit, names: Sequence[str], work: Exe
 
 def _maximised(data: Recorded, start: JointFit, work: Executor) -> JointFit:
     """The full fit from a start; then the drivers ahead get the parameters that were found for them."""
-    found = maximise(data.roughly, renewed(data.roughly, start, work), work, iterations=_STEPS, renewals=_RENEWALS)
+    found = maximise(data.roughly, renewed(data.roughly, start, work), work, renewals=2)
     found = at_model(data, found, replace(found.model, ahead=found.model.rows), work)
     return maximise(data, found, work, iterations=_STEPS_WITHOUT, renewals=0, fresh=False)
 

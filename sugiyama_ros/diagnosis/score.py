@@ -22,11 +22,10 @@ from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.diagnosis.candidates import OF_SOME, Candidate, Start, with_candidate
 from sugiyama_ros.diagnosis.covariates import forces
 from sugiyama_ros.effects.control import is_contaminated
+from sugiyama_ros.fit.coordinates import coordinate, value
 from sugiyama_ros.fit.joint import JointFit
-from sugiyama_ros.fit.model import Model, moved
+from sugiyama_ros.fit.model import Model, PointwiseDensity, evaluate_each, moved
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.score import PointwiseDensity, evaluate_each
-from sugiyama_ros.fit.scoring import coordinate, value
 from sugiyama_ros.fit.slopes import Column, column, density_slope, difference_steps, no_density
 
 # A direction whose information is a smaller part of the largest one of its candidate says nothing.
@@ -249,10 +248,10 @@ def _directions(
         ]
         yield _Direction(c, start, columns, group, (model, at) if c.is_random and start else None)
     zeros = no_density(data.samples)
-    for force in forces(data, fitted, work) if with_forces else ():
-        for change in force.change:
+    for force, changes in forces(data, fitted, work) if with_forces else ():
+        for change in changes:
             columns = [(change[i], zeros, zeros) for i in drivers]
-            yield _Direction(force.candidate, force.candidate.starts[0], columns, (force.candidate.name,), None)
+            yield _Direction(force, force.starts[0], columns, (force.name,), None)
 
 
 def _probes(data: Recorded, model: Model, c: Candidate) -> Iterator[_Probe]:

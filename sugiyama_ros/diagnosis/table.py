@@ -19,9 +19,8 @@ from sugiyama_ros.diagnosis.candidates import Candidate
 from sugiyama_ros.diagnosis.forecast import HORIZONS_S, Forecasts
 from sugiyama_ros.effects.registry import EFFECTS
 from sugiyama_ros.fit.joint import JointFit
-from sugiyama_ros.fit.model import Model
+from sugiyama_ros.fit.model import Model, PointwiseDensity
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.score import PointwiseDensity
 
 #: Level of significance, and false-discovery rate: nothing is added that chance shows more often.
 ALPHA = 0.05

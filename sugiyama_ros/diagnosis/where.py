@@ -16,9 +16,8 @@ from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.diagnosis.covariates import covariates_of
 from sugiyama_ros.diagnosis.table import ALPHA
 from sugiyama_ros.driver.parameters import RHO
-from sugiyama_ros.fit.model import Model
+from sugiyama_ros.fit.model import Model, PointwiseDensity, filtered_states
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.score import PointwiseDensity, filtered_states
 
 # Number of bins of a covariate, and smallest number of samples in a bin.
 _BINS, _FEWEST = 10, 30

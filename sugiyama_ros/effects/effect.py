@@ -275,6 +275,11 @@ class Effect:
             raise InputError(f"effect {self.name}: a form has no forms of its own")
 
     @property
+    def is_searched(self) -> bool:
+        """Whether a search can find the effect in some recording."""
+        return bool(self.starts(Extent(0.0, 100.0, 100.0, 0.0, 100.0)))
+
+    @property
     def switches(self) -> tuple[str, ...]:
         """Names of the parameters that switch the effect on if they are not 0."""
         return self.strengths or (self.parameters[0].name,)

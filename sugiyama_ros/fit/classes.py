@@ -15,20 +15,17 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES, index
 from sugiyama_ros.filters.paper import Scored
-from sugiyama_ros.fit.driver import Fit, Job, carry_out
-from sugiyama_ros.fit.scoring import coordinate, damped_step, derivatives, limited
-from sugiyama_ros.fit.standard_errors import untouched
+from sugiyama_ros.fit.coordinates import coordinate, damped_step
+from sugiyama_ros.fit.driver import STEPS, Fit, Job, carry_out, derivatives, untouched
 
 if TYPE_CHECKING:
     # The online filter is not needed to keep or write the classes, and takes long to load.
     from sugiyama_ros.filters.online import Learnt
 
-# Maximum number of steps; the search ends when a step gains less than this [nats]; longest step of a logarithm.
-_STEPS, _ENOUGH, _LONGEST = 60, 0.05, 0.3
-# Ridge that is added to the information, so that the step is defined for a class without drivers.
-_RIDGE = 1e-6
-# Number of starts. Fits of single drivers are clipped to this distance from the median, in stds over the drivers.
-_STARTS, _FAR = 4, 2.0
+# The search ends when a step gains less than this [nats]; longest step of a logarithm.
+_ENOUGH, _LONGEST = 0.05, 0.3
+# Number of starts.
+_STARTS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +58,7 @@ def find_classes(jobs: Sequence[Job], count: int, samples: int, seed: int, work:
     scores = _scores(jobs, rows, None, work)
     value, probability = _posterior(scores, share)
     shrink = 1.0
-    for _ in range(_STEPS):
+    for _ in range(STEPS):
         gradient, information = _expected(scores, probability)
         moved = np.array([_moved(jobs[0], *one, shrink) for one in zip(rows, gradient, information, strict=True)])
         shares = np.maximum(probability.mean(axis=0), 1e-6)
@@ -103,7 +100,8 @@ def _expected(scores: Sequence[Sequence[Scored]], probability: Array) -> tuple[l
 def _moved(job: Job, row: Array, gradient: Array, information: Array, share: float) -> Array:
     """Parameters (P,) of a class after a ``share`` of a step of Fisher scoring."""
     slope, curvature = derivatives(Scored(0.0, gradient, information), row, job.places)
-    step = limited(damped_step(curvature, slope, 0.0, _RIDGE), _LONGEST)
+    # the ridge defines the step of a class without drivers
+    step = np.clip(damped_step(curvature, slope, 0.0, 1e-6), -_LONGEST, _LONGEST)
     x = coordinate(row[job.places], job.places) + share * step
     return replace(job, start=row).parameters(np.clip(x, *job.ends))
 
@@ -136,7 +134,8 @@ def _divided(fits: Sequence[Fit], job: Job, count: int, seed: int) -> Array:
 
     points = np.log(np.abs([fit.parameters[job.places] for fit in fits]))
     middle, spread = np.median(points, axis=0), np.maximum(np.std(points, axis=0), 1e-6)
-    clipped = np.clip((points - middle) / spread, -_FAR, _FAR)
+    # a fit that is far from all others must not be a class of its own
+    clipped = np.clip((points - middle) / spread, -2.0, 2.0)
     centres, _ = kmeans2(clipped, count, minit="++", rng=np.random.default_rng(seed), missing="warn")
     rows = np.tile(fits[0].parameters, (count, 1))
     rows[:, job.places] = np.sign(fits[0].parameters[job.places]) * np.exp(middle + spread * centres)

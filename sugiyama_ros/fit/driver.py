@@ -1,10 +1,11 @@
 """Maximum-likelihood calibration of one driver (section 5 of the paper)."""
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -13,27 +14,28 @@ from sugiyama_ros.driver.parameters import COUNT, KAPPA_V, NAMES, SIGMA_A, V_STA
 from sugiyama_ros.filters import paper
 from sugiyama_ros.filters.chain import CHAIN, Chain
 from sugiyama_ros.filters.paper import Scored
-from sugiyama_ros.fit.scoring import (
-    Point,
+from sugiyama_ros.fit.coordinates import (
+    ENOUGH_CAUSAL,
+    LONGEST,
+    LONGEST_STEP,
+    PART_OF_STD,
+    Damping,
     coordinate,
-    derivatives,
+    damped_step,
     fastest,
     limits,
     lower_bounds,
-    search,
     upper_bounds,
     value,
 )
 from sugiyama_ros.fit.smooth_positions import ESTIMATED, evenness, measured, with_short_periods
-from sugiyama_ros.fit.standard_errors import end_of_profile, is_determined, quadratic, stds
 from sugiyama_ros.trajectories.dense import DenseTracks
 from sugiyama_ros.workers import ordered_map
 
-# Steps of the difference quotients of the causal filter: as part of a parameter's std; shortest, longest and first step
-# of a logarithm.
-_PART_OF_STD, _SHORTEST_STEP, _LONGEST_STEP, _FIRST_STEP = 0.5, 5e-3, 0.05, 0.03
-#: The paper's regularisation, Eq. Regularized_SSM_Likelihood: centre and weight of v* [m/s] and kappa_v [s].
-REGULARISATION = ((V_STAR, 11.0, 50.0), (KAPPA_V, 0.5, 500.0))
+# Steps of the difference quotients of the causal filter, in a logarithm: shortest and first one.
+_SHORTEST_STEP, _FIRST_STEP = 5e-3, 0.03
+# The paper's regularisation, Eq. Regularized_SSM_Likelihood: centre and weight of v* [m/s] and kappa_v [s].
+_REGULARISATION = ((V_STAR, 11.0, 50.0), (KAPPA_V, 0.5, 500.0))
 
 
 class DriverChains(NamedTuple):
@@ -49,7 +51,7 @@ class DriverChains(NamedTuple):
     scored: tuple[Mask, ...] = ()
 
 
-def causal_score(
+def _causal_score(
     followed: DriverChains,
     places: Ints,
     parameters: Array,
@@ -65,7 +67,7 @@ def causal_score(
     steps = np.full(len(places), _FIRST_STEP)
     if information is not None:
         held = np.diag(information)[places] * parameters[places] ** 2
-        steps = np.clip(_PART_OF_STD / np.sqrt(np.maximum(held, 1e-12)), _SHORTEST_STEP, _LONGEST_STEP)
+        steps = np.clip(PART_OF_STD / np.sqrt(np.maximum(held, 1e-12)), _SHORTEST_STEP, LONGEST_STEP)
     signs = (1.0, -1.0) if central else (1.0,)
     moved = np.tile(parameters, (len(signs), len(places), 1))
     for sign, rows in zip(signs, moved, strict=True):
@@ -109,7 +111,7 @@ def predicted(followed: DriverChains, rows: Sequence[Array]) -> Array:
 def regularised(scored: Scored, parameters: Array) -> Scored:
     """Add the paper's regularisation, Eq. Regularized_SSM_Likelihood, to the score at parameters (P,)."""
     value, gradient, information = scored.log_likelihood, scored.gradient.copy(), scored.information.copy()
-    for k, centre, weight in REGULARISATION:
+    for k, centre, weight in _REGULARISATION:
         off = parameters[k] - centre
         value -= weight * off * off
         gradient[k] -= 2.0 * weight * off
@@ -124,8 +126,14 @@ START_SIGMA_A = 1.0
 # driver as well. Factors of v_star and kappa_v at the starts: of 154 drivers, measured and simulated, 25 have a maximum
 # that is 0.1 to 301 nats higher than the one of the first start. These four starts find all that a grid of 25 finds.
 _STARTS = ((1.0, 1.0), (0.7, 6.0), (2.2, 0.15), (0.7, 0.15))
-# A search ends when a step has a predicted gain below this [nats]; the causal likelihood is rough at small scales.
-_ENOUGH, _ENOUGH_CAUSAL = 1e-4, 0.02
+# A search with the paper's formulation ends when a step has a predicted gain below this [nats].
+_ENOUGH = 1e-4
+
+
+#: Maximum number of steps of a search.
+STEPS = 60
+# Damping of the search for the parameters of a single driver.
+_ALONE = Damping(least=1e-9, least_after_failure=1e-2, most=1e8)
 
 
 @dataclass(frozen=True)
@@ -204,14 +212,14 @@ class Job:
     def score(
         self, parameters: Array, information: Array | None, central: bool = False, here: Array | None = None
     ) -> Scored:
-        """Return the score of the formulation without regularisation; arguments as for ``causal_score``."""
+        """Return the score of the formulation without regularisation; arguments as for ``_causal_score``."""
         if self.perceived is not None:
             return paper.score(self.perceived, parameters, self.places)
         assert self.followed is not None
-        return causal_score(self.followed, self.places, parameters, information, central, here)
+        return _causal_score(self.followed, self.places, parameters, information, central, here)
 
     def objective(self, parameters: Array, information: Array | None, here: Array | None = None) -> Scored:
-        """Return the score that the search maximises; arguments as for ``causal_score``."""
+        """Return the score that the search maximises; arguments as for ``_causal_score``."""
         scored = self.score(parameters, information, here=here)
         return regularised(scored, parameters) if self.options.is_regularised else scored
 
@@ -237,7 +245,7 @@ def carry_out(job: Job) -> Fit:
         # the first of equal maxima counts
         found = max((_fit(one, _ENOUGH) for one in _started(job)), key=_height)
     else:
-        found = _fit(job, _ENOUGH_CAUSAL, is_careful=options.with_errors)
+        found = _fit(job, ENOUGH_CAUSAL, is_careful=options.with_errors)
     if options.profiled:
         found = replace(found, interval=_profile(job, found))
     if options.is_regularised:
@@ -245,18 +253,55 @@ def carry_out(job: Job) -> Fit:
     return found
 
 
+def derivatives(scored: Scored, parameters: Array, places: Ints) -> tuple[Array, Array]:
+    """Return gradient (K,) and information (K, K) of a score at parameters (P,), by the coordinates at ``places``."""
+    scale, block = parameters[places], scored.information[np.ix_(places, places)]
+    return scored.gradient[places] * scale, block * np.outer(scale, scale)
+
+
+class _Point(NamedTuple):
+    """A point of a search: coordinates (K,), the function's value, its derivatives, and what the caller keeps."""
+
+    x: Array
+    value: float
+    gradient: Array
+    information: Array
+    scored: Any
+
+
+def _search(at: Callable[[Array, _Point | None], _Point | None], start: Array, ends: Array, enough: float) -> _Point:
+    """Maximise a function of coordinates (K,) between their ``ends`` (2, K)."""
+    (smallest, largest), here, damping = ends, at(start, None), _ALONE.start
+    if here is None:
+        raise ValueError("the search needs a point to begin with")
+    for _ in range(STEPS):
+        x, gradient = here.x, here.gradient
+        free = ~(((x <= smallest) & (gradient < 0.0)) | ((x >= largest) & (gradient > 0.0)))
+        if not free.any():
+            break
+        change = np.zeros_like(x)
+        change[free] = damped_step(here.information[np.ix_(free, free)], gradient[free], damping, 1e-9)
+        if 0.5 * float(gradient @ change) < enough or damping > _ALONE.most:
+            break
+        there = at(np.clip(x + np.clip(change, -LONGEST, LONGEST), smallest, largest), here)
+        is_better = there is not None and there.value > here.value
+        here = there if there is not None and is_better else here
+        damping = float(_ALONE.updated(damping, is_better, not is_better))
+    return here
+
+
 def _fit(job: Job, enough: float, is_careful: bool = False) -> Fit:
     """Maximise the likelihood, until the predicted gain of a step is less than ``enough`` [nats]."""
 
-    def at(x: Array, near: Point | None) -> Point | None:
+    def at(x: Array, near: _Point | None) -> _Point | None:
         parameters = job.parameters(x)
         known = (None, -np.inf) if near is None else (near.scored.information, near.value)
         scored = job.better(parameters, *known)
         if scored is None:
             return None
-        return Point(x, scored.log_likelihood, *derivatives(scored, parameters, job.places), scored)
+        return _Point(x, scored.log_likelihood, *derivatives(scored, parameters, job.places), scored)
 
-    found, places = search(at, job.x, job.ends, enough), job.places
+    found, places = _search(at, job.x, job.ends, enough), job.places
     parameters = job.parameters(found.x)
     bound = (found.x <= job.ends[0]) | (found.x >= job.ends[1])
     std: Array = np.zeros(len(parameters))
@@ -306,7 +351,7 @@ def _fall(job: Job, found: Fit, place: int, sign: float) -> Callable[[float], fl
 
     def fall(distance: float) -> float:
         last[place] = found.parameters[place] * np.exp(sign * distance)
-        there = _fit(replace(held, start=last), _ENOUGH_CAUSAL)
+        there = _fit(replace(held, start=last), ENOUGH_CAUSAL)
         last[:] = there.parameters
         return float(np.sqrt(2.0 * max(0.0, found.log_likelihood - there.log_likelihood)))
 
@@ -361,3 +406,77 @@ def most_seen(identity: Ints) -> int:
     """Return the number of the vehicle that is present in most samples, (T,), or -1."""
     values, counts = np.unique(identity[identity >= 0], return_counts=True)
     return int(values[np.argmax(counts)]) if len(values) else -1
+
+
+# Information about the logarithm of a parameter below which the data say nothing about it: a std of a factor of e^1000.
+_NOTHING = 1e-6
+
+
+def stds(scored: Scored, parameters: Array, places: Ints) -> Array:
+    """Standard deviations (K,) at a maximum of the parameters at ``places``; infinite where the data say nothing.
+
+    They come from the expected information, or from the sandwich estimate (Huber, Proc. Fifth Berkeley Symp. Math.
+    Stat. Prob. 1 (1967) 221) if it is larger: if the gradients of the samples scatter more than the information says.
+    """
+    block = np.ix_(places, places)
+    information = scored.information[block]
+    covariance = np.linalg.pinv(information, hermitian=True)
+    variance = np.diag(covariance)
+    if scored.scatter is not None:
+        variance = np.maximum(variance, np.diag(covariance @ scored.scatter[block] @ covariance))
+    found = np.sqrt(np.maximum(variance, 0.0))
+    return np.where(untouched(information, parameters[places]), np.inf, found)
+
+
+def is_determined(std: Array | float, value: Array | float) -> Mask:
+    """Whether the data determine parameters (...): the standard deviation is less than half of the value."""
+    return np.asarray(np.asarray(std) < 0.5 * np.abs(value))
+
+
+def untouched(information: Array, values: Array) -> Array:
+    """Which parameters (K,) take part in a combination about which the data say nothing.
+
+    values: (K,), their values, which give the scale: the information about logarithms has no unit.
+    """
+    known, direction = np.linalg.eigh(information * np.outer(values, values))
+    return np.asarray((np.square(direction[:, known < _NOTHING]) > _NOTHING).any(axis=1))
+
+
+# A normal variable lies within this many standard deviations of its mean with a probability of 95 %.
+_SIGMAS = 1.96
+
+
+def quadratic(parameters: Array, std: Array) -> Array:
+    """Return 95 % intervals (..., 2) from a log-likelihood that is quadratic in the logarithms of the parameters.
+
+    For an infinite std the ends are 0 and infinity; for a std of 0, both are the parameter.
+    """
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        far = np.exp(_SIGMAS * std / np.abs(parameters))
+        ends = np.stack([parameters / far, parameters * far], axis=-1)
+    return np.sort(np.where(std[..., None] > 0.0, ends, parameters[..., None]), axis=-1)
+
+
+def end_of_profile(fall: Callable[[float], float], guess: float, furthest: float) -> float:
+    """Return the distance from the maximum at which the profile log-likelihood has fallen by 1.96^2 / 2.
+
+    The values within this distance are a 95 % interval (Wilks, Ann. Math. Stat. 9 (1938) 60).
+    """
+    near, low = 0.0, 0.0
+    far, high = math.inf, math.inf
+    at = min(_SIGMAS * min(guess, 0.5), furthest)
+    for _ in range(20):
+        here = fall(at)
+        if here < _SIGMAS:
+            if at >= furthest:
+                return math.inf
+            near, low = at, here
+        else:
+            far, high = at, here
+        if abs(here - _SIGMAS) < 0.05:  # standard deviations
+            return at
+        if high < math.inf:
+            at = near + (far - near) * (_SIGMAS - low) / (high - low)
+        else:
+            at = min(at * min(max(_SIGMAS / max(here, 1e-9), 1.3), 2.5), furthest)
+    return at

@@ -1,9 +1,9 @@
 """Maximum likelihood for many drivers at once: each driver has individual parameters, and all drivers share others.
 
-The search is damped Fisher scoring (``fit.scoring``). Only the shared parameters connect the drivers, so the matrix of
-the linear system has the shape of an arrow. The derivatives of the samples take most of the time. The search keeps them
-from step to step. It computes them again at the end, and where a step gains less than half of its predicted gain.
-Without shared parameters each driver moves independently and stops on reaching the maximum.
+The search is damped Fisher scoring (``fit.coordinates``). Only the shared parameters connect the drivers, so the
+matrix of the linear system has the shape of an arrow. The derivatives of the samples take most of the time. The search
+keeps them from step to step. It computes them again at the end, and where a step gains less than half of its predicted
+gain. Without shared parameters each driver moves independently and stops on reaching the maximum.
 """
 
 from collections.abc import Sequence
@@ -18,17 +18,16 @@ from sugiyama_ros.driver.parameters import NAMES
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.first_look import PER_MEDIAN
+from sugiyama_ros.fit.coordinates import ENOUGH_CAUSAL, Damping, coordinate, damped, damped_step
 from sugiyama_ros.fit.driver import calibrate
-from sugiyama_ros.fit.model import Model, moved
+from sugiyama_ros.fit.model import Model, PointwiseDensity, evaluate, moved
 from sugiyama_ros.fit.recording import FOLDS, Recorded
-from sugiyama_ros.fit.score import PointwiseDensity, evaluate
-from sugiyama_ros.fit.scoring import Damping, coordinate, damped, damped_step
 from sugiyama_ros.fit.slopes import Slopes, informed_steps, slopes, slopes_of, sums
 from sugiyama_ros.fit.smooth_positions import measured_every
 
-# A search ends when the predicted gain of a step is less than this [nats], of all drivers or of each of many. The
-# log-likelihood of 22 drivers is rough: it varies irregularly by about 1 over one step of the difference quotients.
-_ENOUGH, _ENOUGH_EACH = 0.5, 0.02
+# A search ends when the predicted gain of a step is less than this [nats]. The log-likelihood of 22 drivers is rough:
+# it varies irregularly by about 1 over one step of the difference quotients.
+_ENOUGH = 0.5
 _DAMPING = Damping(least=1e-6, least_after_failure=0.1, most=1e4)
 # Maximum number of steps of a search, and maximum number of times that it computes the derivatives again.
 _STEPS, _RENEWALS = 12, 5
@@ -90,7 +89,7 @@ def maximise(
     fresh: whether the derivatives of ``start`` belong to its own model, and not to a nearby model.
     """
     here = start
-    enough = max(_ENOUGH, _ENOUGH_EACH * data.drivers) if enough is None else enough
+    enough = max(_ENOUGH, ENOUGH_CAUSAL * data.drivers) if enough is None else enough
     damping: Array = np.full(data.drivers, _DAMPING.start)
     is_fresh = np.full(data.drivers, fresh)
     for _ in range(iterations):
@@ -209,13 +208,8 @@ def _mixed(here: JointFit, there: JointFit, better: Mask) -> JointFit:
 
 #: Largest prior std of a parameter's coordinate (a logarithm for most), also before the spread is known; smallest.
 LARGEST_STD, _LEAST_STD = 1.0, 0.05
-# The first search ends when the predicted gain of a step is less than this [nats], because other searches follow.
-_NEARLY = 20.0
 # A driver further than this from the median driver, in prior stds, is fitted again.
 _FAR_AWAY = 3.5
-# A fit has settled if the log-likelihood rises by less than this for each driver, or for all of them [nats], when the
-# drivers ahead get the parameters that were found for them. Maximum number of fits until it has.
-_AGREES, _AGREE, _PASSES = 0.1, 2.0, 5
 
 
 def start_model(data: Recorded, individual: Sequence[int]) -> Model:
@@ -229,7 +223,7 @@ def fit_nearly(data: Recorded, individual: Sequence[int], work: Executor, start:
     """Fit every driver alone, but not to the end, because other searches follow, or because the fit is far behind."""
     first = start or start_model(data, individual)
     near = _by_paper(data, first, work) if start is None else None
-    return maximise(data, _start(data, near or first, work), work, iterations=10 if near is None else 3, enough=_NEARLY)
+    return maximise(data, _start(data, near or first, work), work, iterations=10 if near is None else 3, enough=20.0)
 
 
 def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: Model | None = None) -> JointFit:
@@ -253,11 +247,11 @@ def _settled(data: Recorded, found: JointFit, work: Executor) -> JointFit:
 
     Where it falls, the drivers ahead are better predicted by the parameters of the fit before, which is kept.
     """
-    enough = max(_AGREES * data.drivers, _AGREE)
+    enough = max(0.1 * data.drivers, 2.0)  # nats, for each driver or for all of them
     there = at_model(data, found, _as_population(found.model), work)
     if abs(there.log_likelihood - found.log_likelihood) < enough:
         return found
-    for _ in range(_PASSES):
+    for _ in range(5):
         again = _as_one_population(data, found, work)
         rise = again.log_likelihood - found.log_likelihood
         if rise > 0.0:

@@ -18,9 +18,8 @@ from sugiyama_ros.driver.utility import FAR, advance
 from sugiyama_ros.effects.control import law_acceleration
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import JointFit, fit_base, start_model
-from sugiyama_ros.fit.model import Model
+from sugiyama_ros.fit.model import Model, filtered_states
 from sugiyama_ros.fit.recording import FOLDS, Recorded
-from sugiyama_ros.fit.score import filtered_states
 from sugiyama_ros.jit import kernel
 from sugiyama_ros.laws.law import Law
 from sugiyama_ros.laws.registry import LAWS, PAPERS, number_of

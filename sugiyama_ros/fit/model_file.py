@@ -14,20 +14,17 @@ import yaml
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import COUNT, NAMES, check_for_filter, population
-from sugiyama_ros.effects.effect import Extent
 from sugiyama_ros.effects.registry import EFFECTS, GROUP, ROW, active, effect, index_of, switch_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.files import Target, number, read_yaml, writing
 from sugiyama_ros.fit.classes import DriverTypes
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.sandwich import own_stds, shared_stds
+from sugiyama_ros.fit.standard_errors import own_stds, shared_stds
 from sugiyama_ros.laws.registry import LAWS, PAPERS, law, name_of, number_of
 from sugiyama_ros.plugins import FAILED
 
 _FORMAT = 1
-# A recording in which every effect that a fit can find has a start.
-_A_RING = Extent(0.0, 100.0, 100.0, 0.0, 100.0)
 # libyaml, if it is installed, is ten times faster
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
@@ -49,7 +46,7 @@ class ModelFile:
 
     def effects_to_fit(self) -> tuple[str, ...]:
         """Return the effects if a fit can find all of them; none if one has no start, or for another law."""
-        have_starts = all(effect(name).starts(_A_RING) for name in self.effects)
+        have_starts = all(effect(name).is_searched for name in self.effects)
         return self.effects if have_starts and (self.rows[:, ROW.law] == number_of(PAPERS)).all() else ()
 
     def rows_of(self, vehicles: Ints) -> Array:

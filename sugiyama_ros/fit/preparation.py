@@ -18,6 +18,7 @@ from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN, Chain
 from sugiyama_ros.filters.extract import Drive, chain_behind, divided, drives
+from sugiyama_ros.fit.coordinates import SMALLEST, fastest, lower_bounds, upper_bounds
 from sugiyama_ros.fit.driver import most_seen
 from sugiyama_ros.fit.recording import (
     BLOCK_S,
@@ -30,7 +31,6 @@ from sugiyama_ros.fit.recording import (
     columns_of,
     numbered,
 )
-from sugiyama_ros.fit.scoring import SMALLEST, fastest, lower_bounds, upper_bounds
 from sugiyama_ros.fit.smooth_positions import (
     Evenness,
     apart_if_smoothed,

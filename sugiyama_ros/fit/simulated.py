@@ -11,10 +11,9 @@ from scipy.signal import savgol_filter
 from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.driver.parameters import at_period
 from sugiyama_ros.fit.joint import JointFit, fit
-from sugiyama_ros.fit.model import Model
+from sugiyama_ros.fit.model import Model, between_measurements, filtered_states
 from sugiyama_ros.fit.preparation import driven_anew, prepare_road
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.score import between_measurements, filtered_states
 from sugiyama_ros.progress import OnStage
 from sugiyama_ros.simulation.behind import RecordedTraffic, drive_behind
 from sugiyama_ros.simulation.simulator import Clock, Simulator

@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -19,16 +19,13 @@ from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.effects.control import is_contaminated
 from sugiyama_ros.filters.causal import ChainJob, Predicted, predict_samples
 from sugiyama_ros.filters.update import weigh_samples
-from sugiyama_ros.fit.model import Model, reach
+from sugiyama_ros.fit.coordinates import LONGEST_STEP, PART_OF_STD, coordinate, is_linear, value
+from sugiyama_ros.fit.model import Model, PointwiseDensity, evaluate, jobs_of, reach, together
 from sugiyama_ros.fit.recording import FOLDS, Recorded
-from sugiyama_ros.fit.score import PointwiseDensity, evaluate, jobs_of, together
-from sugiyama_ros.fit.scoring import coordinate, is_linear, value
 from sugiyama_ros.jit import kernel
 
-# Step of the difference quotients: first in a logarithm, or as part of the longest search step in a linear coordinate;
-# then, with known information, as part of a parameter's std, and its upper limit in a logarithm. The likelihood is
-# smooth only at these scales: close to contact the filter amplifies smaller changes without limit.
-_STEP, _PART_OF_STD, _LONGEST_STEP = 0.01, 0.5, 0.05
+# First step of the difference quotients in a logarithm, or as part of the longest search step in a linear coordinate.
+_STEP = 0.01
 
 
 class Derivatives(NamedTuple):
@@ -45,8 +42,6 @@ class Derivatives(NamedTuple):
 #: Derivatives of the samples of one driver by one parameter: innovation, variance, density, (T,) each. A search keeps
 #: very many of them, so difference quotients, which are not exact to seven digits, have single precision.
 Column: TypeAlias = tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any]], NDArray[np.floating[Any]]]
-# Largest size of a derivative.
-_LARGEST = 1e30
 
 
 @cache
@@ -137,21 +132,20 @@ def density_slope(y: Array, variance: Array, dy: Array, dvar: Array, row: Array)
 
 
 class _Asked(NamedTuple):
-    """A driver whose slopes are asked for: the driver at a model, predictions there, and the steps (K,) to take."""
+    """A driver whose slopes are asked for: the driver at a model, predictions there, steps (K,), and folds (T,)."""
 
     job: ChainJob
     at: Predicted
     steps: Array
+    fold: Ints
 
 
-def _slopes_of(task: tuple[Sequence[_Asked], tuple[int, ...], tuple[int, ...], Sequence[Ints]]) -> list[Slopes]:
+def _slopes_of(individual: Sequence[int], shared: Sequence[int], drivers: Sequence[_Asked]) -> list[Slopes]:
     """Score and information of some drivers by difference quotients; all their filters run side by side."""
-    drivers, individual, shared, folds = task
-    moved = predict_samples([job for asked in drivers for job in _moved(asked, individual, shared)])
+    moved = iter(predict_samples([job for asked in drivers for job in _moved(asked, individual, shared)]))
     found = []
-    for number, ((job, at, steps), fold) in enumerate(zip(drivers, folds, strict=True)):
-        there = moved[number * len(steps) : (number + 1) * len(steps)]
-        columns = [column(at, one, step, job.parameters) for step, one in zip(steps, there, strict=True)]
+    for job, at, steps, fold in drivers:
+        columns = [column(at, next(moved), step, job.parameters) for step in steps]
         found.append(sums(at, columns, job.parameters, fold))
     return found
 
@@ -167,10 +161,11 @@ def column(at: Predicted, there: Predicted, step: float, row: Array) -> Column:
 
 def _single(derivative: Array) -> NDArray[np.float32]:
     """Return a derivative in single precision; beyond its range the largest number."""
-    return np.clip(derivative, -_LARGEST, _LARGEST).astype(np.float32)
+    largest = float(np.finfo(np.float32).max)
+    return np.clip(derivative, -largest, largest).astype(np.float32)
 
 
-def _moved(asked: _Asked, individual: tuple[int, ...], shared: tuple[int, ...]) -> list[ChainJob]:
+def _moved(asked: _Asked, individual: Sequence[int], shared: Sequence[int]) -> list[ChainJob]:
     """Return the driver with each parameter moved by its step; shared parameters move for the drivers ahead, too."""
     (chain, row, ahead, is_rough), places, jobs = asked.job, [*individual, *shared], []
     assert ahead is not None
@@ -211,10 +206,10 @@ def slopes_of(
 ) -> list[Slopes]:
     """Return the slopes of drivers whose predictions are known, from steps (N, K) in coordinates."""
     chosen = list(range(data.drivers) if who is None else who)
-    asked = [_Asked(job, samples.of(i), steps[i]) for i, job in zip(chosen, jobs_of(data, model, chosen), strict=True)]
-    folds = together([data.fold[i] for i in chosen])
-    tasks = [(part, model.individual, model.shared, fold) for part, fold in zip(together(asked), folds, strict=True)]
-    return [one for part in work.map(_slopes_of, tasks) for one in part]
+    jobs = jobs_of(data, model, chosen)
+    asked = [_Asked(job, samples.of(i), steps[i], data.fold[i]) for i, job in zip(chosen, jobs, strict=True)]
+    parts = work.map(partial(_slopes_of, model.individual, model.shared), together(asked))
+    return [one for part in parts for one in part]
 
 
 def informed_steps(data: Recorded, model: Model, all_slopes: Sequence[Slopes]) -> Array:
@@ -223,8 +218,8 @@ def informed_steps(data: Recorded, model: Model, all_slopes: Sequence[Slopes]) -
     information = np.array([np.diag(s.information.sum(axis=0)) for s in all_slopes])
     information[:, :own] += 1.0 / np.square(np.array(model.prior_std))
     information[:, own:] = information[:, own:].sum(axis=0)
-    longest = difference_steps(data, places) * (_LONGEST_STEP / _STEP)
-    steps = _PART_OF_STD / np.sqrt(np.maximum(information, 1e-12))
+    longest = difference_steps(data, places) * (LONGEST_STEP / _STEP)
+    steps = PART_OF_STD / np.sqrt(np.maximum(information, 1e-12))
     return np.asarray(np.clip(steps, 0.02 * longest, longest))
 
 

@@ -1,86 +1,116 @@
-"""Standard errors at a maximum of the likelihood, and 95 % intervals of a parameter."""
+"""Standard errors of joint fits; those of shared parameters hold for an approximate, rough likelihood.
+
+The likelihood of a filter is rough at small scales, so derivatives overstate how well a parameter is known. The error
+therefore comes from the profile of the log posterior: how far a parameter can move, while all others respond, until the
+log posterior has fallen clearly. Where drivers or blocks of time pull in different directions by more than the
+information allows, the error grows by this factor (the sandwich estimate, with drivers and blocks as clusters).
+
+References
+----------
+Huber, Proc. Fifth Berkeley Symp. Math. Stat. Prob. 1 (1967) 221. Cameron and Miller, J. Human Resources 50 (2015) 317.
+"""
 
 import math
-from collections.abc import Callable
+from concurrent.futures import Executor
+from typing import Any
 
 import numpy as np
 
-from sugiyama_ros.arrays import Array, Ints, Mask
-from sugiyama_ros.filters.paper import Scored
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.effects.registry import ROW
+from sugiyama_ros.fit.coordinates import is_linear
+from sugiyama_ros.fit.joint import JointFit, at_model
+from sugiyama_ros.fit.model import moved
+from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.slopes import density_slope
 
-# Information about the logarithm of a parameter below which the data say nothing about it: a std of a factor of e^1000.
-_NOTHING = 1e-6
 
+def own_stds(fitted: JointFit) -> list[dict[str, float]]:
+    """Return standard deviations of the individual parameters of each driver, by name, from a fit's information.
 
-def stds(scored: Scored, parameters: Array, places: Ints) -> Array:
-    """Standard deviations (K,) at a maximum of the parameters at ``places``; infinite where the data say nothing.
-
-    They come from the expected information, or from the sandwich estimate (Huber, Proc. Fifth Berkeley Symp. Math.
-    Stat. Prob. 1 (1967) 221) if it is larger: if the gradients of the samples scatter more than the information says.
+    The drivers are draws from a population, whose centre is known from these drivers alone.
     """
-    block = np.ix_(places, places)
-    information = scored.information[block]
-    covariance = np.linalg.pinv(information, hermitian=True)
-    variance = np.diag(covariance)
-    if scored.scatter is not None:
-        variance = np.maximum(variance, np.diag(covariance @ scored.scatter[block] @ covariance))
-    found = np.sqrt(np.maximum(variance, 0.0))
-    return np.where(untouched(information, parameters[places]), np.inf, found)
+    places, found = list(fitted.model.individual), []
+    inverses, lifts, shared = _arrow(fitted, with_centre=True)
+    for inverse, lift, row in zip(inverses, lifts, fitted.model.rows[:, places], strict=True):
+        variances = np.diag(inverse + lift @ shared @ lift.T)
+        # from a coordinate to the parameter itself: d p = p d log p
+        stds = np.sqrt(np.maximum(variances, 0.0)) * np.where(is_linear(places), 1.0, np.abs(row))
+        found.append(dict(zip((ROW.entries[k] for k in places), stds.tolist(), strict=True)))
+    return found
 
 
-def is_determined(std: Array | float, value: Array | float) -> Mask:
-    """Whether the data determine parameters (...): the standard deviation is less than half of the value."""
-    return np.asarray(np.asarray(std) < 0.5 * np.abs(value))
+def _arrow(fitted: JointFit, *, with_centre: bool = False) -> tuple[Array, Array, Array]:
+    """Return the parts of the inverse information of a fit, which has the shape of an arrow.
 
-
-def untouched(information: Array, values: Array) -> Array:
-    """Which parameters (K,) take part in a combination about which the data say nothing.
-
-    values: (K,), their values, which give the scale: the information about logarithms has no unit.
+    The inverses (N, I, I) of each driver alone, the responses (N, I, S) of the individual parameters to the shared
+    ones, and the covariance (S, S) of the shared ones. The centre of the population counts as known, or is in front of
+    the shared parameters.
     """
-    known, direction = np.linalg.eigh(information * np.outer(values, values))
-    return np.asarray((np.square(direction[:, known < _NOTHING]) > _NOTHING).any(axis=1))
+    model, own = fitted.model, len(fitted.model.individual)
+    prior, has = np.diag(1.0 / np.array(model.prior_std) ** 2), model.has[:, None]
+    h: Array = np.array([s.information.sum(axis=0) for s in fitted.slopes])
+    inverses: Array = np.asarray(np.linalg.inv(h[:, :own, :own] + prior), np.float64)
+    cross, both = np.where(has, h[:, :own, own:], 0.0), has & has.transpose(0, 2, 1)
+    block = np.where(both, h[:, own:, own:], 0.0)
+    if with_centre:
+        cross = np.concatenate([np.broadcast_to(-prior, (len(h), own, own)), cross], axis=2)
+        block = np.pad(block, ((0, 0), (own, 0), (own, 0)))
+        block[:, :own, :own] = prior
+    lifts: Array = inverses @ cross
+    reduced = (block - cross.transpose(0, 2, 1) @ lifts).sum(axis=0)
+    return inverses, lifts, np.asarray(np.linalg.pinv(reduced + 1e-9 * np.eye(len(reduced))), np.float64)
 
 
-#: A normal variable lies within this many standard deviations of its mean with a probability of 95 %.
-SIGMAS = 1.96
-# Maximum number of trial values for one end, and tolerance of the fall, in standard deviations.
-_TRIES, _CLOSE = 20, 0.05
-# Largest and smallest ratio of the next distance to the last distance; largest guess of a logarithm's std.
-_FURTHER, _FURTHER_AT_LEAST, _FIRST = 2.5, 1.3, 0.5
+def shared_stds(data: Recorded, fitted: JointFit, work: Executor) -> dict[str, float]:
+    """Return standard deviations of the shared parameters of a fit."""
+    model, own = fitted.model, len(fitted.model.individual)
+    shared = list(model.shared)
+    if not shared:
+        return {}
+    _, lifts, inverse = _arrow(fitted)
+    blocks = np.unique(data.block)
+    scores = np.zeros((data.drivers, len(blocks), len(shared)))
+    for i, (s, row, has) in enumerate(zip(fitted.slopes, model.rows, model.has, strict=True)):
+        y, variance, density = fitted.samples.of(i)
+        derivatives = s.derivatives
+        slope = density_slope(y, variance, derivatives.innovation, derivatives.variance, row) + derivatives.density
+        slope = np.where(np.isfinite(density), slope, 0.0)
+        efficient = np.where(has[:, None], slope[own:], 0.0) - lifts[i].T @ slope[:own]
+        scores[i] = [efficient[:, data.block[i] == b].sum(axis=1) for b in blocks]
+    stds = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
+    scatter = np.max([_scatter(np.asarray(scores.sum(axis=k)), inverse) for k in (0, 1)], axis=0)
+    stds *= np.maximum(np.sqrt(scatter) / stds, 1.0)
+    for j in range(len(shared)):
+        direction = inverse[:, j] / np.sqrt(max(inverse[j, j], 1e-300))
+        stds[j] *= _stretch(data, fitted, direction, lifts, work)
+    # from a coordinate to the parameter itself: d p = p d log p
+    size = np.array([np.abs(model.rows[model.has[:, j], k]).max(initial=0.0) for j, k in enumerate(shared)])
+    stds *= np.where(is_linear(shared), 1.0, size)
+    return dict(zip((ROW.entries[k] for k in shared), stds.tolist(), strict=True))
 
 
-def quadratic(parameters: Array, std: Array) -> Array:
-    """Return 95 % intervals (..., 2) from a log-likelihood that is quadratic in the logarithms of the parameters.
+def _stretch(data: Recorded, fitted: JointFit, direction: Array, lifts: Array, work: Executor) -> float:
+    """By how much the log posterior is wider than the information says, at least 1.
 
-    For an infinite std the ends are 0 and infinity; for a std of 0, both are the parameter.
+    direction: (S,), one std of a parameter, with the response of the others; lifts: (N, I, S), response of individuals.
     """
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        far = np.exp(SIGMAS * std / np.abs(parameters))
-        ends = np.stack([parameters / far, parameters * far], axis=-1)
-    return np.sort(np.where(std[..., None] > 0.0, ends, parameters[..., None]), axis=-1)
+    for doublings in range(1, 8):
+        share = 2.0**doublings
+        falls = []
+        for sign in (-share, share):
+            model = moved(data, fitted.model, -sign * lifts @ direction, sign * direction)
+            falls.append(fitted.objective - at_model(data, fitted, model, work).objective)
+        fall = float(np.mean(falls))
+        if fall >= 4.0:  # nats, which stand out from the roughness of the log posterior
+            break
+    return max(share / math.sqrt(2.0 * max(fall, 0.5)), 1.0)
 
 
-def end_of_profile(fall: Callable[[float], float], guess: float, furthest: float) -> float:
-    """Return the distance from the maximum at which the profile log-likelihood has fallen by 1.96^2 / 2.
-
-    The values within this distance are a 95 % interval (Wilks, Ann. Math. Stat. 9 (1938) 60).
-    """
-    near, low = 0.0, 0.0
-    far, high = math.inf, math.inf
-    at = min(SIGMAS * min(guess, _FIRST), furthest)
-    for _ in range(_TRIES):
-        here = fall(at)
-        if here < SIGMAS:
-            if at >= furthest:
-                return math.inf
-            near, low = at, here
-        else:
-            far, high = at, here
-        if abs(here - SIGMAS) < _CLOSE:
-            return at
-        if high < math.inf:
-            at = near + (far - near) * (SIGMAS - low) / (high - low)
-        else:
-            at = min(at * min(max(SIGMAS / max(here, 1e-9), _FURTHER_AT_LEAST), _FURTHER), furthest)
-    return at
+def _scatter(scores: Array, inverse: Any) -> Array:
+    """Variances (S,) from the scores (C, S) of C clusters, and from the inverse of the information (S, S)."""
+    count = len(scores)
+    if count < 2:
+        return np.zeros(len(inverse))
+    change = (scores - scores.mean(axis=0)) @ inverse
+    return np.asarray(count / (count - 1.0) * np.square(change).sum(axis=0))

@@ -14,13 +14,13 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import Candidate, not_searched
 from sugiyama_ros.diagnosis.compare import Compared, Comparison
-from sugiyama_ros.diagnosis.diagnose import Diagnosis, Round, Step
+from sugiyama_ros.diagnosis.diagnose import Diagnosis, Round
 from sugiyama_ros.diagnosis.table import Difference, Entry, errors, gains
 from sugiyama_ros.diagnosis.where import Located
 from sugiyama_ros.driver.parameters import CONSTANTS, KAPPA_V, V_STAR, Parameter
 from sugiyama_ros.effects.discovered_force import COVARIATES
 from sugiyama_ros.effects.registry import EFFECTS, ROW
-from sugiyama_ros.fit.sandwich import own_stds
+from sugiyama_ros.fit.standard_errors import own_stds
 from sugiyama_ros.laws.registry import LAWS, PAPERS, name_of
 
 # Time between two samples of a picture [s], and largest number of points of one run in the document.
@@ -168,9 +168,9 @@ def additions(d: Diagnosis) -> list[Addition]:
     """What the final model has beyond the base model, in the order in which it was added."""
     found = []
     for step, one in enumerate(d.steps):
-        before, after = (_after_10_s(errors(e.forecasts)) for e in (one.before, one.after))
+        before, after = (_after_10_s(errors(e.forecasts)) for e in (one.current, one.after))
         names = {c.mechanism for c in one.new}
-        alike = [name for name in dict.fromkeys(e.added[-1].mechanism for e in one.of.alike) if name not in names]
+        alike = [name for name in dict.fromkeys(e.added[-1].mechanism for e in one.alike) if name not in names]
         for c in (c for c in one.new if c in d.final.added):
             parameters = {} if c.individual else _values(d.final, c)
             stds = {name: d.stds[key] for name in parameters for key in (f"{c.effect}.{name}", name) if key in d.stds}
@@ -187,7 +187,7 @@ def additions(d: Diagnosis) -> list[Addition]:
                     covariate=_covariate(c),
                     vehicles=[d.data.vicinity.numbers[i] for i in c.drivers],
                     is_supported=one.is_supported,
-                    p_value=one.of.chance.p_values.get(c.mechanism, 1.0),
+                    p_value=one.chance.p_values.get(c.mechanism, 1.0),
                     heldout_gain_nats=won.nats,
                     heldout_gain_se=won.se,
                     gains={name: asdict(value) for name, value in one.gain.items()},
@@ -212,9 +212,9 @@ def _values(entry: Entry, c: Candidate) -> dict[str, float]:
     return {ROW.declared[k].name: float(row[k]) for k in places}
 
 
-def _closest(d: Diagnosis, one: Step) -> dict[str, Any] | None:
+def _closest(d: Diagnosis, one: Round) -> dict[str, Any] | None:
     """The physical effect that comes closest to what was added in a step, and how far it is behind."""
-    entry = one.of.closest_effect
+    entry = one.closest_effect
     if entry is None:
         return None
     behind = one.after.over(d.data, entry)["all"]
@@ -231,16 +231,14 @@ def _fall(d: Diagnosis) -> dict[str, float]:
     found = {"physics_m": 0.0, "other_m": 0.0}
     for one in d.steps:
         name = "physics_m" if any(c.explains for c in one.new) else "other_m"
-        found[name] += _after_10_s(errors(one.before.forecasts)) - _after_10_s(errors(one.after.forecasts))
+        found[name] += _after_10_s(errors(one.current.forecasts)) - _after_10_s(errors(one.after.forecasts))
     return found
 
 
 def _tried(first: Round) -> list[Tried]:
-    fitted = {
-        e.added[-1].name: won["all"] for e, won in zip(first.entries, first.gains, strict=True) if len(e.added) == 1
-    }
+    fitted = {e.added[-1].name: won["all"] for e, won in first.gains.items() if len(e.added) == 1}
     found: dict[str, Tried] = {}
-    for entry in first.entries:
+    for entry in first.gains:
         c = entry.added[-1]
         if c.mechanism not in found:
             found[c.mechanism] = _one_tried(first, c, fitted.get(c.name))

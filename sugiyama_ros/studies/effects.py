@@ -19,7 +19,7 @@ from sugiyama_ros.effects.effect import Values
 from sugiyama_ros.effects.registry import EFFECTS, ROW, effect, index_of, switch_on
 from sugiyama_ros.fit.joint import fit_base
 from sugiyama_ros.fit.preparation import prepare
-from sugiyama_ros.fit.sandwich import shared_stds
+from sugiyama_ros.fit.standard_errors import shared_stds
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.result import Simulation
 from sugiyama_ros.simulation.simulator import Simulator, evenly, platoon, simulate

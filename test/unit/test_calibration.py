@@ -14,10 +14,9 @@ from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import KAPPA_V, NAMES, SIGMA_A, SIGMA_NU, V_STAR, defaults, index
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters import paper
-from sugiyama_ros.fit.driver import SearchOptions, calibrate, regularised
+from sugiyama_ros.fit.driver import SearchOptions, calibrate, end_of_profile, regularised
 from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.fit.smooth_positions import ESTIMATED
-from sugiyama_ros.fit.standard_errors import end_of_profile
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, evenly, platoon, simulate
 from sugiyama_ros.trajectories.dense import tracks_of

@@ -13,10 +13,9 @@ from sugiyama_ros.diagnosis.forecast import forecasts, surroundings
 from sugiyama_ros.diagnosis.table import errors
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.fit.model import Model
+from sugiyama_ros.fit.model import Model, evaluate
 from sugiyama_ros.fit.preparation import LEAST_FOLLOWING_S, prepare, prepare_stretches
 from sugiyama_ros.fit.recording import FOLDS
-from sugiyama_ros.fit.score import evaluate
 from sugiyama_ros.trajectories.assemble import assemble
 from sugiyama_ros.trajectories.dense import whole_road
 

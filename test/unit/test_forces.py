@@ -8,13 +8,13 @@ import pytest
 from benchmarks.away.drivers import drawn
 from benchmarks.away.world import Hidden, Setup, record
 from sugiyama_ros.diagnosis.chance import chance_of
-from sugiyama_ros.diagnosis.covariates import covariates_of, further_covariates
+from sugiyama_ros.diagnosis.covariates import covariates_of
 from sugiyama_ros.diagnosis.refine import refined
 from sugiyama_ros.diagnosis.score import scores
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.fit.joint import fit_base
+from sugiyama_ros.fit.model import filtered_states
 from sugiyama_ros.fit.preparation import prepare
-from sugiyama_ros.fit.score import filtered_states
 from sugiyama_ros.trajectories.dense import tracks_of
 
 CARS = 10
@@ -85,7 +85,6 @@ def test_what_is_around_a_driver(plain, work):
     data, fit = plain
     state = filtered_states(data, fit.model, work)
     seen = covariates_of(data, state)
-    seen |= further_covariates(data, state, seen)
     assert {values.shape for values in seen.values()} == {(data.samples, CARS)}
     # on a ring, column i follows column i + 1
     for name, of_next in (("rear_gap", "gap"), ("rear_approach_rate", "approach_rate")):

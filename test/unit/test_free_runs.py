@@ -6,8 +6,8 @@ import pytest
 from sugiyama_ros.driver.parameters import SIGMA_A, at_period, defaults, horizon_at
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.effects.registry import ROW
+from sugiyama_ros.fit.model import between_measurements
 from sugiyama_ros.fit.preparation import prepare, prepare_stretches
-from sugiyama_ros.fit.score import between_measurements
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.drive import Order, Setting
 from sugiyama_ros.simulation.free_run import run_coupled, run_single

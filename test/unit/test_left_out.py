@@ -8,9 +8,9 @@ import pytest
 from benchmarks.speed.timing import jam
 from sugiyama_ros.diagnosis.diagnose import diagnose
 from sugiyama_ros.fit.joint import start_model
+from sugiyama_ros.fit.model import evaluate
 from sugiyama_ros.fit.preparation import prepare, within
 from sugiyama_ros.fit.recording import MOST_SAMPLES, some_drivers
-from sugiyama_ros.fit.score import evaluate
 from sugiyama_ros.page.document import document
 from sugiyama_ros.trajectories.dense import tracks_of
 

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from benchmarks.speed.timing import jam
+from sugiyama_ros.diagnosis.base import laws
 from sugiyama_ros.diagnosis.forecast import forecasts, surroundings
 from sugiyama_ros.diagnosis.refine import without_folds
-from sugiyama_ros.diagnosis.rivals import laws
 from sugiyama_ros.diagnosis.table import Entry
 from sugiyama_ros.fit.joint import fit_base, start_model
 from sugiyama_ros.fit.law import in_filter
+from sugiyama_ros.fit.model import evaluate, follow
 from sugiyama_ros.fit.preparation import prepare
 from sugiyama_ros.fit.recording import some_drivers
-from sugiyama_ros.fit.score import evaluate, follow
 from sugiyama_ros.laws import registry
 from sugiyama_ros.laws.registry import RIVALS
 from sugiyama_ros.trajectories.dense import tracks_of
@@ -60,9 +60,9 @@ def test_only_laws_that_may_be_better_are_fitted_to_all_drivers(data, base, work
     """The cars drive by the model of the paper, so that a constant speed is far behind. Then the IDM has to beat it."""
     around, names = surroundings(data, base.model, work), ("constant_speed", "idm")
     assert set(names) < set(RIVALS) < set(registry.LAWS)
-    monkeypatch.setattr("sugiyama_ros.diagnosis.rivals.LAWS", {names[0]: registry.LAWS[names[0]]})
+    monkeypatch.setattr("sugiyama_ros.diagnosis.base.LAWS", {names[0]: registry.LAWS[names[0]]})
     assert laws(data, around, entry(data, around, "base", base, work), work) == ()
-    monkeypatch.setattr("sugiyama_ros.diagnosis.rivals.LAWS", {names[1]: registry.LAWS[names[1]]})
+    monkeypatch.setattr("sugiyama_ros.diagnosis.base.LAWS", {names[1]: registry.LAWS[names[1]]})
     slow = entry(data, around, "constant_speed", in_filter(data, "constant_speed", work), work)
     (idm,) = laws(data, around, slow, work)
     assert idm.name == "idm"

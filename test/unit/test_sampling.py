@@ -10,9 +10,9 @@ from sugiyama_ros.diagnosis.forecast import forecasts, surroundings
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import start_model
+from sugiyama_ros.fit.model import evaluate, filtered_states
 from sugiyama_ros.fit.preparation import prepare
 from sugiyama_ros.fit.recording import FOLDS
-from sugiyama_ros.fit.score import evaluate, filtered_states
 from sugiyama_ros.fit.simulated import resample
 from sugiyama_ros.fit.smooth_positions import (
     measured,

@@ -10,9 +10,8 @@ from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.filters.causal import filter_chain
 from sugiyama_ros.filters.extract import chain_behind
-from sugiyama_ros.fit.model import Model
+from sugiyama_ros.fit.model import Model, evaluate, filtered_states
 from sugiyama_ros.fit.preparation import prepare
-from sugiyama_ros.fit.score import evaluate, filtered_states
 from sugiyama_ros.fit.simulated import resample
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate

@@ -7,7 +7,7 @@ import sugiyama_ros as sg
 from sugiyama_ros.calibration.soundness import mean_nis
 from sugiyama_ros.driver.parameters import SIGMA_NU, SIGMA_V, SIGMA_X, V_STAR, defaults
 from sugiyama_ros.filters.first_look import SIGMAS
-from sugiyama_ros.fit.scoring import SMALLEST, lower_bounds
+from sugiyama_ros.fit.coordinates import SMALLEST, lower_bounds
 from sugiyama_ros.fit.smooth_positions import ESTIMATED, FREED, evenness
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.dense import DenseTracks

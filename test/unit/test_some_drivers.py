@@ -13,7 +13,7 @@ from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, d
 from sugiyama_ros.effects.registry import ROW, index_of, switch_on
 from sugiyama_ros.fit.joint import fit_base
 from sugiyama_ros.fit.preparation import prepare
-from sugiyama_ros.fit.sandwich import own_stds, shared_stds
+from sugiyama_ros.fit.standard_errors import own_stds, shared_stds
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.filters.paper import Scored
-from sugiyama_ros.fit.driver import calibrate
-from sugiyama_ros.fit.standard_errors import stds, untouched
+from sugiyama_ros.fit.driver import calibrate, stds, untouched
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.dense import DenseTracks
 

@@ -36,11 +36,10 @@ def test_results_come_in_the_order_of_the_items(items):
 
 def test_a_process_gets_more_at_a_time_where_there_are_many_items(monkeypatch):
     monkeypatch.setattr(workers, "_TASKS", 8)
-    sizes, made = [], []
-
-    def unpacked(numbers):
-        sizes.append(len(numbers))
-        return numbers
+    sizes, made, submit = [], [], ProcessPoolExecutor.submit
+    monkeypatch.setattr(
+        ProcessPoolExecutor, "submit", lambda pool, f, *args: sizes.append(len(args[-1])) or submit(pool, f, *args)
+    )
 
     def items():
         for number in range(2000):
@@ -48,7 +47,7 @@ def test_a_process_gets_more_at_a_time_where_there_are_many_items(monkeypatch):
             yield number
 
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as work:
-        for done, _ in enumerate(ordered_map(math.sqrt, items(), work, unpacked)):
+        for done, _ in enumerate(ordered_map(math.sqrt, items(), work)):
             # as many items as eight tasks of the smallest size, and what is made next
             assert len(made) <= done + 8 * 8 + 32
     assert (sizes[0], max(sizes)) == (8, 32)
@@ -58,11 +57,3 @@ def test_a_process_gets_more_at_a_time_where_there_are_many_items(monkeypatch):
 def test_what_goes_wrong_in_a_task_is_told():
     with ThreadPoolExecutor(1) as work, pytest.raises(TypeError):
         list(ordered_map(math.sqrt, ["a", None], work))
-
-
-def test_items_are_made_where_they_are_used():
-    def roots_of_squares(numbers):
-        return (number * number for number in numbers)
-
-    for work in (None, ThreadPoolExecutor(1)):
-        assert list(ordered_map(math.sqrt, range(9), work, roots_of_squares)) == list(range(9))

@@ -1,29 +1,25 @@
-"""Fisher scoring: the coordinates and the bounds of a search, its damped step, and the search for one driver.
+"""Coordinates of a search, their bounds, and its damped steps.
 
-The expected information of innovations y with variance S is sum(dy dy' / S + dS dS' / 2 S^2). It is positive, so
-Newton's step with this information points uphill. The damping of Levenberg and Marquardt shortens a step that does not
-gain. ``search`` fits a single driver; ``fit.joint`` and ``fit.classes`` take the same step for many drivers, and have
-loops of their own: one keeps derivatives from step to step, the other weights drivers by the class they may be in.
-
-The coordinate of a parameter with a fixed sign is the logarithm of its size.
+The coordinate of a parameter with a fixed sign is the logarithm of its size. The searches are Fisher scoring: the
+expected information of innovations y with variance S is sum(dy dy' / S + dS dS' / 2 S^2). It is positive, so Newton's
+step with this information points uphill. The damping of Levenberg and Marquardt shortens a step that does not gain.
 
 References
 ----------
 Marquardt, J. SIAM 11 (1963) 431. Osborne, Fisher's method of scoring, Int. Stat. Rev. 60 (1992) 99.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints, Mask
-from sugiyama_ros.driver.parameters import OMEGA_2, PARAMETERS, V_STAR
+from sugiyama_ros.driver.parameters import PARAMETERS, V_STAR
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.filters import paper
 from sugiyama_ros.filters.first_look import SIGMAS
-from sugiyama_ros.filters.paper import Scored
 from sugiyama_ros.fit.smooth_positions import Evenness
 from sugiyama_ros.trajectories.dense import DenseTracks
 from sugiyama_ros.trajectories.desired_speed import largest_v_star
@@ -32,11 +28,13 @@ from sugiyama_ros.trajectories.desired_speed import largest_v_star
 SMALLEST = 1e-3
 #: Longest step of a logarithm.
 LONGEST = 0.7
-# Maximum number of steps of a search.
-_STEPS = 60
+#: Predicted gain of a step [nats] below which the search for a driver ends; the causal likelihood is rough below it.
+ENOUGH_CAUSAL = 0.02
+#: Step of difference quotients as part of a parameter's std, and its upper limit in a logarithm. The likelihood is
+#: smooth only at these scales: close to contact the filter amplifies smaller changes without limit.
+PART_OF_STD, LONGEST_STEP = 0.5, 0.05
 # Coordinate of each parameter p: log(p) for +1, log(-p) for -1, p itself for 0.
-_SIGN = np.array([1.0 if p.lower >= 0.0 else 0.0 for p in ROW.declared])
-_SIGN[OMEGA_2] = -1.0
+_SIGN = np.array([1.0 if p.lower >= 0.0 else -1.0 if p.upper <= 0.0 else 0.0 for p in ROW.declared])
 
 
 def fastest(trajectories: DenseTracks) -> float:
@@ -89,12 +87,6 @@ def limits(places: Sequence[int] | Ints, least: Array, upper: Array) -> Array:
     return np.array([lowest, np.where(sign < 0.0, np.minimum(highest, -size), highest)])
 
 
-def derivatives(scored: Scored, parameters: Array, places: Ints) -> tuple[Array, Array]:
-    """Return gradient (K,) and information (K, K) of a score at parameters (P,), by the coordinates at ``places``."""
-    scale, block = parameters[places], scored.information[np.ix_(places, places)]
-    return scored.gradient[places] * scale, block * np.outer(scale, scale)
-
-
 @dataclass(frozen=True)
 class Damping:
     """How the damping of a search changes: it is divided by ten after a success and multiplied by ten after a failure.
@@ -115,10 +107,6 @@ class Damping:
         return np.where(better, eased, np.where(worse, raised, damping))
 
 
-# Damping of the search for the parameters of a single driver.
-_ALONE = Damping(least=1e-9, least_after_failure=1e-2, most=1e8)
-
-
 def damped(information: Array, relative: Any, absolute: float = 0.0) -> Array:
     """Return information (..., K, K) with a ridge: its diagonal times ``relative`` (...), plus ``absolute``."""
     diagonal = np.arange(information.shape[-1])
@@ -131,39 +119,3 @@ def damped(information: Array, relative: Any, absolute: float = 0.0) -> Array:
 def damped_step(information: Array, gradient: Array, relative: float, absolute: float) -> Array:
     """Return Newton's step (K,) from a gradient (K,) with damped information (K, K)."""
     return np.asarray(np.linalg.solve(damped(information, relative, absolute), gradient), np.float64)
-
-
-def limited(change: Array, longest: Any) -> Array:
-    """Return a step (...) with every entry limited to plus or minus ``longest``."""
-    return np.asarray(np.clip(change, -longest, longest))
-
-
-class Point(NamedTuple):
-    """A point of a search: coordinates (K,), the function's value, its derivatives, and what the caller keeps."""
-
-    x: Array
-    value: float
-    gradient: Array
-    information: Array
-    scored: Any
-
-
-def search(at: Callable[[Array, Point | None], Point | None], start: Array, ends: Array, enough: float) -> Point:
-    """Maximise a function of coordinates (K,) between their ``ends`` (2, K)."""
-    (smallest, largest), here, damping = ends, at(start, None), _ALONE.start
-    if here is None:
-        raise ValueError("the search needs a point to begin with")
-    for _ in range(_STEPS):
-        x, gradient = here.x, here.gradient
-        free = ~(((x <= smallest) & (gradient < 0.0)) | ((x >= largest) & (gradient > 0.0)))
-        if not free.any():
-            break
-        change = np.zeros_like(x)
-        change[free] = damped_step(here.information[np.ix_(free, free)], gradient[free], damping, 1e-9)
-        if 0.5 * float(gradient @ change) < enough or damping > _ALONE.most:
-            break
-        there = at(np.clip(x + limited(change, LONGEST), smallest, largest), here)
-        is_better = there is not None and there.value > here.value
-        here = there if there is not None and is_better else here
-        damping = float(_ALONE.updated(damping, is_better, not is_better))
-    return here
