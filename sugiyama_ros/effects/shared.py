@@ -12,8 +12,8 @@ PLACE = (
     Parameter("centre", "x_c", "m", 0.0, -1e6, 1e6, "position of the middle of the part of the road", "place"),
     Parameter("width", "w", "m", 0.0, 1.0, 1e5, "length of the part of the road"),
 )
-# Number of centres, and widths as shares of the road, at which a search begins.
-_CENTRES, _WIDTHS = 12, (0.35,)
+# Widths as shares of the road, and numbers of centres, at which a search begins: a wide and a narrow part.
+_WIDE, _NARROW = (0.35, 12), (0.1, 24)
 
 
 @kernel
@@ -27,16 +27,19 @@ def bump(seen: Seen, centre: float, width: float) -> float:
     return 0.5 + 0.5 * math.cos(2.0 * math.pi * off / width)
 
 
-def around(strength: Values) -> Callable[[Extent], tuple[Values, ...]]:
-    """Make the starts of a search at places all along the road; strength: values of the other parameters."""
+def around(weak: Values, strong: Values) -> Callable[[Extent], tuple[Values, ...]]:
+    """Make the starts of a search at places all along the road.
+
+    weak, strong: values of the other parameters on a wide and on a narrow part of the road.
+    """
 
     def starts(recording: Extent) -> tuple[Values, ...]:
         first = 0.0 if recording.circumference_m else recording.first_m
         extent = recording.circumference_m or recording.last_m - recording.first_m
         return tuple(
-            {**strength, "centre": first + (k + 0.5) / _CENTRES * extent, "width": share * extent}
-            for k in range(_CENTRES)
-            for share in _WIDTHS
+            {**strength, "centre": first + (k + 0.5) / centres * extent, "width": share * extent}
+            for strength, (share, centres) in ((weak, _WIDE), (strong, _NARROW))
+            for k in range(centres)
         )
 
     return starts

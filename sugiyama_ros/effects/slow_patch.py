@@ -24,7 +24,7 @@ EFFECT = Effect(
         Parameter("reduction", "r", "1", 0.0, -1.0, 0.95, "share taken off v* in the middle of the patch"),
         *PLACE,
     ),
-    starts=around({"reduction": 0.1}),
+    starts=around({"reduction": 0.1}, {"reduction": 0.4}),
     function=_prefer,
     bank={"reduction": 0.05},
     benchmark=({"reduction": 0.07, "width": 80.0}, {"reduction": 0.03, "width": 80.0}),

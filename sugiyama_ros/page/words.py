@@ -440,11 +440,9 @@ def sentences(d: Document) -> list[str]:
 
 def _added(d: Document, n: Document, told: str) -> list[str]:
     """Lines about an addition; ``told``: what the first line says already."""
-    ends = distances(float(n["free_run_rmse_before_m"]), float(n["free_run_rmse_after_m"]))
-    lines = [
-        f"{addition(d, n)}: {size_of(d, n)}. On unseen data {on_unseen(n)}; {chance(n['p_value'])}; error after 10 s"
-        f" {' -> '.join(ends)}."
-    ]
+    ends = [n["free_run_rmse_before_m"], n["free_run_rmse_after_m"]]
+    fall = f"; error after 10 s {' -> '.join(distances(*ends))}" if None not in ends else ""
+    lines = [f"{addition(d, n)}: {size_of(d, n)}. On unseen data {on_unseen(n)}; {chance(n['p_value'])}{fall}."]
     if d["verdict"].get("asked"):
         lines.append("The data ask for it." if n["is_supported"] else "You asked for it; the data do not ask for it.")
     if text := worse_in_words(n):
