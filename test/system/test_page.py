@@ -515,6 +515,38 @@ def test_the_live_page_at_the_fastest_rate_draws_what_was_published(browser, rec
     assert place == pytest.approx(r.trajectories.position_m[:, 0].tolist())
 
 
+def test_adding_the_true_effect_lowers_the_error_on_the_page(browser, tmp_path):
+    # cars of limited power, measured so well that the model causes the one-step error: 0.110 m, 0.100 m with the effect
+    settings = ("--effect", "limited_power:power=10", "--set", "sigma_nu=0.03", "--set", "sigma_a=0.15")
+    command = [SUGIYAMA, "simulate", "-o", tmp_path / "sim.mcap", "--duration", "160", *settings]
+    subprocess.run(command, check=True, capture_output=True)
+
+    def shown(page, until_s):
+        """Errors [m] of estimators and base model that the page shows until a time [s] of the recording, by time."""
+        read = {}
+        while not read or max(read) < until_s:
+            text = page.get_by_text("one-step error over").inner_text()
+            pattern = r"(\d+) s: one-step error over 10 s ([\d.]+) m, base model ([\d.]+) m"
+            if found := re.search(pattern, text):
+                time_s, *errors = map(float, found.groups())
+                read[time_s] = errors
+            page.wait_for_timeout(250)
+        return read
+
+    with live_page(browser, tmp_path / "sim.mcap", "--rate", 10, "-o", tmp_path / "live.mcap") as page:
+        page.get_by_text("effects added: none").wait_for(timeout=60_000)
+        before = shown(page, 60)
+        page.get_by_label("effect", exact=True).select_option("limited engine power")
+        page.get_by_role("button", name="add").click()
+        page.get_by_text("effects added: limited engine power").wait_for(timeout=60_000)
+        after = shown(page, 150)
+    parts = ((before, 25), (after, 95))
+    (first, base), (last, still) = (np.mean([e for t, e in part.items() if t > since], axis=0) for part, since in parts)
+    # estimators and base model see the same samples; without an effect they are the same
+    assert first == pytest.approx(base, rel=1e-3)
+    assert last < 0.96 * still
+
+
 def test_the_status_line_says_where_the_recording_is_and_what_to_do():
     status = Status("a.csv", 20.0, 20.0, math.nan, 0.1, True, "7", "out.mcap")
     feed = SimpleNamespace(vehicles=[0, 1], now={0: (0.0, 1.0)})
