@@ -1,5 +1,7 @@
 """The strictly causal filter: drivers act on the filtered states of themselves and of the vehicles ahead.
 
+The functions ``update`` and ``predict`` that are called here are those of ``abreast``, for chains side by side.
+
 The paper takes what a driver perceives from smoothed measurements, which know the future, as a given control. Here the
 mean action is a function of the filtered state and enters the covariance, so that an innovation depends on the past
 alone. A driver is filtered together with a chain of vehicles ahead,

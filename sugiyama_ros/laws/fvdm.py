@@ -22,8 +22,8 @@ def _fvdm(gap: float, speed: float, leader_speed: float, p: Array) -> float:
 
 LAW = Law(
     name="fvdm",
-    title="full velocity difference model",
-    summary="relaxation to an optimal velocity of the gap, plus a term in the relative speed",
+    title="FVDM",
+    summary="full velocity difference model: an optimal velocity of the gap, plus a term in the relative speed",
     source="Jiang, Wu and Zhu, Phys. Rev. E 64 (2001) 017101",
     parameters=(
         Parameter("kappa", "κ", "1/s", 0.5, 0.01, 10.0, "sensitivity to the optimal velocity"),

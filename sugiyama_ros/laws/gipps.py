@@ -29,7 +29,7 @@ def _gipps(gap: float, speed: float, leader_speed: float, p: Array) -> float:
 
 LAW = Law(
     name="gipps",
-    title="Gipps' law",
+    title="Gipps",
     summary="the speed from which the driver can still stop behind a braking leader",
     source="Gipps, Transp. Res. B 15 (1981) 105",
     parameters=(

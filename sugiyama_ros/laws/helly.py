@@ -22,7 +22,7 @@ def _helly(gap: float, speed: float, leader_speed: float, p: Array) -> float:
 
 LAW = Law(
     name="helly",
-    title="Helly's linear follower",
+    title="Helly",
     summary="linear in the relative speed and in the difference to a wanted gap",
     source="Helly, Simulation of bottlenecks in single-lane traffic flow (1959)",
     parameters=(

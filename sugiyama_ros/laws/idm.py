@@ -27,8 +27,8 @@ def idm(gap: float, speed: float, leader_speed: float, p: Array) -> float:
 
 LAW = Law(
     name="idm",
-    title="intelligent driver model",
-    summary="free acceleration minus an interaction that grows with the wanted gap over the gap, squared",
+    title="IDM",
+    summary="intelligent driver model: free acceleration, less the wanted gap over the gap, squared",
     source="Treiber, Hennecke and Helbing, Phys. Rev. E 62 (2000) 1805",
     parameters=(
         Parameter("v0", "v_0", "m/s", 10.0, 1.0, 80.0, "desired speed"),

@@ -21,7 +21,7 @@ def _newell(gap: float, speed: float, leader_speed: float, p: Array) -> float:
 
 LAW = Law(
     name="newell",
-    title="Newell's law",
+    title="Newell",
     summary="the leader's trajectory a fixed time later and a fixed distance behind, with a relaxation time",
     source="Newell, Transp. Res. B 36 (2002) 195",
     parameters=(

@@ -23,8 +23,8 @@ def _ovm(gap: float, speed: float, leader_speed: float, p: Array) -> float:
 
 LAW = Law(
     name="ovm",
-    title="optimal velocity model",
-    summary="relaxation to an optimal velocity of the gap",
+    title="OVM",
+    summary="optimal velocity model: relaxation to an optimal velocity of the gap",
     source="Bando, Hasebe, Nakayama, Shibata and Sugiyama, Phys. Rev. E 51 (1995) 1035",
     parameters=(
         Parameter("kappa", "a", "1/s", 1.0, 0.01, 10.0, "sensitivity"),

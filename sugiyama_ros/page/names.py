@@ -6,18 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from sugiyama_ros.effects.registry import EFFECTS, ROW
+from sugiyama_ros.laws.registry import LAWS
 from sugiyama_ros.results import figure
 
 Document = Mapping[str, Any]
-_LAWS = {
-    "adaptive_seek": "adaptiveSeek",
-    "idm": "IDM",
-    "fvdm": "FVDM",
-    "ovm": "OVM",
-    "gipps": "Gipps",
-    "newell": "Newell",
-    "helly": "Helly",
-}
 #: Errors [m] below this are told in millimetres.
 SMALL_M = 0.01
 # Lengths [m] and speeds [m/s] below this are told in millimetres.
@@ -93,7 +85,7 @@ def model_name(name: str) -> str:
     if name.startswith(("base", "file:")):
         return re.sub(r"\w+", lambda found: _effect_name(found[0]), name)
     law = name.removesuffix("_least_squares")
-    return _LAWS.get(law, spaced(law)) + (", fitted to gaps" if law != name else "")
+    return (LAWS[law].title if law in LAWS else spaced(law)) + (", fitted to gaps" if law != name else "")
 
 
 def _effect_name(name: str) -> str:

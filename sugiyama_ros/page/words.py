@@ -239,7 +239,7 @@ def reasons(d: Document) -> list[str]:
 def badge(d: Document) -> tuple[str, str]:
     """The outcome of a verdict: a sign, and words."""
     outcome, effects = d["verdict"].get("outcome", ""), d["verdict"]["effects"]
-    if effects and outcome != "adequate" and not any(n["is_supported"] for n in effects) and not failed(d):
+    if effects and not any(n["is_supported"] for n in effects) and not failed(d):
         return "?", "Added as asked; the data do not ask for it"
     if outcome == "adequate":
         return "✓", "The model is adequate"
