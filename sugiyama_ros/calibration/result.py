@@ -11,7 +11,7 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import index
-from sugiyama_ros.effects.registry import ROW
+from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.files import Target
 from sugiyama_ros.fit.classes import Classes, DriverTypes
@@ -336,10 +336,11 @@ class Calibration(Result):
 
     def shared_sentences(self) -> list[str]:
         """Say the values of the parameters that all drivers share, one line for each effect."""
-        return [
-            f"{name}: " + ", ".join(f"{p} {v['value']:.4g} {_within(v['std'], '.2g')}" for p, v in values.items())
+        said = {
+            name: ", ".join(f"{p} {v['value']:.4g} {_within(v['std'], '.2g')}" for p, v in values.items())
             for name, values in self._shared().items()
-        ]
+        }
+        return [f"{name}: {values or 'nothing of it was found'}" for name, values in said.items()]
 
     def _drivers(self) -> list[dict[str, Any]]:
         """Collect the results of each driver in plain types."""
@@ -375,11 +376,11 @@ class Calibration(Result):
         return f"{d[name]:.3f} {known}" if d["identified"][name] and known != _VAGUE else _NOT_IDENTIFIED
 
     def _shared(self) -> dict[str, dict[str, dict[str, float]]]:
-        """Value and std of each shared parameter, by effect and parameter.
+        """Value and std of each shared parameter, by effect and parameter; nothing for an effect that was not found.
 
         The shared parameters of ``driver.parameters`` stand under ``constants``.
         """
-        shared: dict[str, dict[str, dict[str, float]]] = {}
+        shared: dict[str, dict[str, dict[str, float]]] = {name: {} for name in self.settings.effects if name in EFFECTS}
         for entry, std in (self.shared_std or {}).items():
             effect, _, parameter = entry.rpartition(".")
             value = float(self.rows[0, ROW.entries.index(entry)])

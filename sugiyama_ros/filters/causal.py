@@ -227,7 +227,8 @@ def _run(jobs: Sequence[ChainJob], adaptation: Adaptation, trace: _Trace, sample
     position, identity, length, rear = (_stacked([getattr(chain, name) for chain in chains]) for name in _MEASURED)
     run(
         Observed(position, identity, length, rear, start_s, ends),
-        Drivers(rows, places, np.log(rows[:, 0, [UTILITY[k] for k in places]]), prior_var),
+        # contiguous, whatever the number of chains: the filter is compiled once
+        Drivers(rows, places, np.ascontiguousarray(np.log(rows[:, 0, [UTILITY[k] for k in places]])), prior_var),
         ACTIONS,
         jobs[0].is_rough,
         scene_at(one.period_s, one.circumference_m, adaptation.relaxation_s),

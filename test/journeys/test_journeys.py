@@ -93,7 +93,7 @@ def test_a_csv_of_a_ring_to_an_added_effect_and_back(here: Here) -> None:
     (here / "hill.json").write_text(json.dumps(told))
     here.says("run monday.csv --ring 85 --model hill.yaml -o monday.mcap")
     here.says("report monday.mcap --diagnosis hill.json")
-    card = (here / "monday.html").read_text().split("<nav>")[0]
+    card = (here / "monday.html").read_text().split("<nav>")[0].replace("\N{NO-BREAK SPACE}", " ")
     assert told["about"]["road_grade"]["title"] in card.lower()
     assert f"{effect['heldout_gain_nats']:.0f} ± {effect['heldout_gain_se']:.0f} nats" in card
 

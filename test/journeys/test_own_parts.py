@@ -189,9 +189,6 @@ def answers(tmp_path_factory):
     of_pages = write_package(folder)
     for name in ("small.grid", "my.grid"):
         (folder / name).write_text("grid\n" + "\n".join(f"{3.0 * k} {3.0 * k + 20.0}" for k in range(60)))
-    (folder / "my.lanes").write_text(
-        "\n".join(f"{v} 1 {0.5 * k} {3.0 * k + 20.0 * v}" for v in (1, 2) for k in range(60))
-    )
     ring = ["--ring", "45", "--json"]
     base = ["--vehicles", "4", "--ring", "45", "--duration", "40", "--seed", "1", "--json"]
     effects = [argument for name in STAGES for argument in ("--effect", f"{name}:k=0.05")]
@@ -269,12 +266,11 @@ def test_a_format_of_another_package_is_read(answers):
 
 def test_the_commands_of_the_pages_work(answers):
     said = {words: answer for words, answer in answers.items() if words.startswith("sugiyama ")}
-    assert {words.split()[1] for words in said} == {"simulate", "diagnose", "compare", "convert", "info", "study"}
+    assert {words.split()[1] for words in said} == {"simulate", "diagnose", "compare", "convert", "study"}
     for words, (code, _, err) in said.items():
         assert code == 0, f"{words}: {err}"
     out = {words.split()[1]: answer[1] for words, answer in said.items()}
     assert "syrup" in out["diagnose"]
     assert "follow, fitted to gaps" in out["compare"]
-    assert "Vehicles:    2" in out["info"]
     assert "What does one slow driver do to a ring?" in " ".join(out["study"].split())
     assert "slow_drivers" in answers["studies"][1]

@@ -12,7 +12,8 @@ SUGIYAMA = [sys.executable, "-m", "sugiyama_ros.cli"]
 
 def tell_alike(said, page):
     """Assert that the terminal and the card of the page tell the same numbers of the effect that was found."""
-    terminal, card = " ".join(said["verdict"]["told"]), page.split("<nav>")[0]
+    terminal = " ".join(said["verdict"]["told"])
+    card = page.split("<nav>")[0].replace("\N{NO-BREAK SPACE}", " ")
     (found,) = said["verdict"]["effects"]
     ends = [f"{said['errors'][when]['free_run_10s_m']:.2f}" for when in ("before", "after")]
     reduction = found["parameters"]["reduction"]

@@ -11,6 +11,7 @@ from benchmarks.speed.timing import counted, jam
 from sugiyama_ros.calibration.calibrate import each_driver
 from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.diagnosis.diagnose import diagnose
+from sugiyama_ros.trajectories.dense import tracks_of
 
 pytestmark = pytest.mark.system
 #: Passes of the causal filter over one driver, for 6 drivers of 100 s.
@@ -23,7 +24,7 @@ def test_calibration_and_diagnosis_filter_no_more_often_than_they_did():
     t = jam(6, 100.0)
     passes = {
         "calibration": counted(lambda: each_driver(t, Settings()))[0],
-        "diagnosis": counted(lambda: diagnose(t, most=1, workers=2))[0],
+        "diagnosis": counted(lambda: diagnose(tracks_of(t), most=1, workers=2))[0],
     }
     for name, known in KNOWN_PASSES.items():
         assert 0 < passes[name] < SLOWER * known, passes
