@@ -178,7 +178,7 @@ class _Numbers:
             raise _NotSuchError(f"column {self._name}: {column.type} is no type of numbers; give numbers")
         if kind.is_boolean(column.type):
             column = column.cast(pyarrow.int8())
-        self._parts.append(np.array(column.cast(pyarrow.float64(), safe=False).to_numpy(zero_copy_only=False)))
+        self._parts.append(_values(column.cast(pyarrow.float64(), safe=False), np.dtype(np.float64), np.nan))
 
     def _of_text(self, column: Any) -> Array:
         coded = column.dictionary_encode()
@@ -271,7 +271,21 @@ def _codes(column: Any) -> NDArray[np.int32]:
     """Place of each value of a column of categories in its dictionary, (R,); -1 where missing."""
     import pyarrow
 
-    return np.asarray(column.indices.cast(pyarrow.int32()).fill_null(-1).to_numpy(zero_copy_only=False))
+    return _values(column.indices.cast(pyarrow.int32()), np.dtype(np.int32), -1)
+
+
+def _values(column: Any, kind: np.dtype[Any], missing: float) -> NDArray[Any]:
+    """A copy of the values of a column of numbers of this kind, (R,).
+
+    ``to_numpy`` of pyarrow would load pandas, which takes longer than most files.
+    """
+    known, data = column.buffers()
+    start, stop = column.offset, column.offset + len(column)
+    values = np.frombuffer(data, kind)[start:stop].copy() if len(column) else np.empty(0, kind)
+    if column.null_count:
+        bits = np.unpackbits(np.frombuffer(known, np.uint8), bitorder="little")[start:stop]
+        values[bits == 0] = missing
+    return values
 
 
 def _text_batches(sheet: Sheet, wanted: _Wanted) -> Iterator[Any]:
