@@ -49,7 +49,9 @@ def clock(stamp_ns: int) -> Clock:
     return Clock(clock=time_message(stamp_ns))
 
 
+@lru_cache(maxsize=4)
 def _header(stamp_ns: int) -> Header:
+    """The header of all messages with a stamp: nobody changes it."""
     return Header(stamp=time_message(stamp_ns), frame_id=FRAME)
 
 
