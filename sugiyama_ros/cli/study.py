@@ -44,6 +44,7 @@ def study(options: _StudyOptions) -> None:
     from sugiyama_ros.studies.registry import STUDIES
     from sugiyama_ros.studies.registry import study as study_of
     from sugiyama_ros.studies.study import Asked
+    from sugiyama_ros.trajectories.dense import whole_road
     from sugiyama_ros.workers import workers
 
     if not options.name and options.as_json:
@@ -59,7 +60,8 @@ def study(options: _StudyOptions) -> None:
     asked = study_of(options.name)
     trajectories = None
     if options.source is not None:
-        trajectories = read_tracks(options.source, Choices(ring_m=options.ring)).dense(str(options.source))
+        tracks = read_tracks(options.source, Choices(ring_m=options.ring))
+        trajectories = whole_road(tracks) or tracks.dense(str(options.source))
     with workers(options.runs) as work:
         answer = asked.answer(Asked(trajectories, options.runs, options.seed, work))
         if picture is not None:

@@ -75,7 +75,7 @@ class Simulation(Result):
 
     def headline(self) -> str:
         """Say what was simulated, how fast the drivers drove, and how often they collided."""
-        collisions = f"; {len(self.collisions)} collisions" if self.collisions else ""
+        collisions = f"; {len(self.collisions)} collision{'s' * (len(self.collisions) > 1)}" if self.collisions else ""
         return f"{self.dense.headline()}; mean speed {self.speed.mean():.2f} m/s{collisions}"
 
     def records(self) -> list[dict[str, Any]]:

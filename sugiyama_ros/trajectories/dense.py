@@ -197,18 +197,8 @@ def _leaders(position_m: Array, number: Ints, road: Road) -> Ints:
 
 
 def dense(tracks: Tracks, where: str = "") -> DenseTracks:
-    """Put tracks of one lane into a dense table; ``where``: name of the file for messages. Raises InputError.
-
-    Nobody may jump, or, where everybody was in view, drive through anybody.
-    """
+    """Put tracks of one lane into a dense table; ``where``: name of the file for messages. Raises InputError."""
     where = where or tracks.about.source or "tracks"
-    road = _table(tracks, where)
-    _check_motion(tracks, road, where)
-    return road
-
-
-def _table(tracks: Tracks, where: str) -> DenseTracks:
-    """Put tracks of one lane into a dense table, without a check of how vehicles move."""
     for column, many, option in (
         (tracks.recording, "recordings", "recording"),
         (tracks.road, "roads", "road"),
@@ -252,18 +242,18 @@ def whole_road(tracks: Tracks) -> DenseTracks | None:
     if not in_view and np.mean(tracks.leader_row == UNKNOWN) > _UNKNOWN_ROWS:
         return None
     try:
-        road = _table(tracks, tracks.about.source or "tracks")
+        road = dense(tracks)
     except InputError:
         return None
     if in_view:
-        _check_motion(tracks, road, tracks.about.source or "tracks")
+        where = tracks.about.source or "tracks"
+        _check_order(road, where)
+        check_jumps(tracks, where)
     return road if in_view or road.present.mean() >= _PRESENT else None
 
 
-def _check_motion(tracks: Tracks, road: DenseTracks, where: str) -> None:
-    """Refuse vehicles that jump or, where everybody was in view, drive through one another."""
-    if _is_in_view(tracks):
-        _check_order(road, where)
+def check_jumps(tracks: Tracks, where: str) -> None:
+    """Refuse vehicles that jump."""
     if note := jumps_noted(tracks):
         raise InputError(f"{where}: {note.removeprefix('warning: ')}")
 

@@ -243,9 +243,11 @@ def test_effects_of_others_are_fitted_and_diagnosed(answers):
     assert set(document(answers["calibrate"])["effects"]) == {"syrup", "gentle"}
     assert "base + syrup" in {m["name"] for m in document(answers["compare"])["models"]}
     diagnosed = document(answers["diagnose"])
-    assert set(STAGES) <= set(diagnosed["verdict"]["searched"])
+    # a displacement of all cars alike changes no gap, so there is nothing to search for
+    searched = set(STAGES) - {"displaced"}
+    assert searched <= set(diagnosed["verdict"]["searched"])
     # some are listed with what a prescreen promises, which is too little for a fit
-    assert set(STAGES) <= {c["name"] for c in diagnosed["candidates"]}
+    assert searched <= {c["name"] for c in diagnosed["candidates"]}
 
 
 def test_a_law_of_another_package_is_a_rival(answers):
@@ -271,6 +273,6 @@ def test_the_commands_of_the_pages_work(answers):
         assert code == 0, f"{words}: {err}"
     out = {words.split()[1]: answer[1] for words, answer in said.items()}
     assert "syrup" in out["diagnose"]
-    assert "follow, fitted to gaps" in out["compare"]
+    assert "Follower, fitted to gaps" in out["compare"]
     assert "What does one slow driver do to a ring?" in " ".join(out["study"].split())
     assert "slow_drivers" in answers["studies"][1]
