@@ -15,7 +15,7 @@ from sugiyama_ros.fit.smooth_positions import evenness
 from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.progress import OnProgress
 from sugiyama_ros.trajectories.about import About
-from sugiyama_ros.trajectories.dense import DenseTracks, numbers_of, whole_road
+from sugiyama_ros.trajectories.dense import DenseTracks, numbers_of, one_road, whole_road
 from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.workers import workers
 
@@ -38,9 +38,7 @@ def calibrate_drivers(
 
     scheduler: address of a Dask scheduler whose workers do the work; where: name of the file, for errors.
     """
-    road = whole_road(tracks)
-    if road is None and settings.formulation == "paper":
-        road = tracks.dense(where)
+    road = one_road(tracks, where) if settings.formulation == "paper" else whole_road(tracks)
     with workers(tracks.runs, scheduler) as work:
         if settings.is_pooled:
             return _named(_pooled(tracks, road, settings, work), tracks)
@@ -111,11 +109,12 @@ def _pooled(tracks: Tracks, road: DenseTracks | None, settings: Settings, work: 
     from sugiyama_ros.diagnosis.refine import with_named
     from sugiyama_ros.fit.joint import fit_base
     from sugiyama_ros.fit.law import in_filter
-    from sugiyama_ros.fit.preparation import prepare
+    from sugiyama_ros.fit.preparation import prepare_road, prepare_stretches
     from sugiyama_ros.fit.smooth_positions import with_short_periods
     from sugiyama_ros.fit.standard_errors import own_stds, shared_stds
 
-    data, estimated = prepare(tracks, most=None), settings.estimated
+    data = prepare_stretches(tracks) if road is None else prepare_road(road)
+    estimated = settings.estimated
     if settings.law == PAPERS:
         estimated = estimated or (data.even if road is None else evenness(road)).estimated()
         base = fit_base(data, [index(name) for name in estimated], work)

@@ -44,7 +44,7 @@ def study(options: _StudyOptions) -> None:
     from sugiyama_ros.studies.registry import STUDIES
     from sugiyama_ros.studies.registry import study as study_of
     from sugiyama_ros.studies.study import Asked
-    from sugiyama_ros.trajectories.dense import whole_road
+    from sugiyama_ros.trajectories.dense import one_road
     from sugiyama_ros.workers import workers
 
     if not options.name and options.as_json:
@@ -61,7 +61,7 @@ def study(options: _StudyOptions) -> None:
     trajectories = None
     if options.source is not None:
         tracks = read_tracks(options.source, Choices(ring_m=options.ring))
-        trajectories = whole_road(tracks) or tracks.dense(str(options.source))
+        trajectories = one_road(tracks, str(options.source))
     with workers(options.runs) as work:
         answer = asked.answer(Asked(trajectories, options.runs, options.seed, work))
         if picture is not None:

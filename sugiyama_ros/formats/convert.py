@@ -10,7 +10,7 @@ from sugiyama_ros.formats.mcap_writer import LATCHED_TOPIC, BagWriter, Qos
 from sugiyama_ros.formats.measured import MEASURED_TYPE, ROAD_TYPE, messages
 from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.formats.tracks_parquet import write_tracks
-from sugiyama_ros.trajectories.dense import DenseTracks, check_jumps, whole_road
+from sugiyama_ros.trajectories.dense import DenseTracks, check_jumps, one_road
 from sugiyama_ros.trajectories.selection import Selection, select
 from sugiyama_ros.trajectories.time_base import on_time_base, period_of
 from sugiyama_ros.trajectories.tracks import Tracks
@@ -58,7 +58,7 @@ def convert(source: Path, target: Target, part: Part = Part()) -> Tracks:
     if part.period_s is not None:
         tracks = on_time_base(tracks, part.period_s)
     if suffix == ".mcap":
-        road = whole_road(tracks) or tracks.dense(str(source))
+        road = one_road(tracks, str(source))
         check_jumps(tracks, str(source))
         write_bag(road, output)
         return tracks

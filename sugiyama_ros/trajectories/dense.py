@@ -252,6 +252,11 @@ def whole_road(tracks: Tracks) -> DenseTracks | None:
     return road if in_view or road.present.mean() >= _PRESENT else None
 
 
+def one_road(tracks: Tracks, where: str = "") -> DenseTracks:
+    """Tracks of one lane as a dense table: as a whole road where they are one. Raises InputError."""
+    return whole_road(tracks) or dense(tracks, where)
+
+
 def check_jumps(tracks: Tracks, where: str) -> None:
     """Refuse vehicles that jump."""
     if note := jumps_noted(tracks):

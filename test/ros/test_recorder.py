@@ -133,21 +133,18 @@ def test_an_output_that_cannot_be_written_is_one_line(stage, tmp_path: Path) -> 
         Recorder(parameter_overrides=[Parameter("output", value="out.mcap"), Parameter("metadata", value=["run"])])
 
 
+def started_recorder(output: Path) -> subprocess.Popen[bytes]:
+    """A recorder in a process of its own."""
+    node = [sys.executable, "-m", "sugiyama_ros.nodes.executables", "recorder"]
+    return subprocess.Popen([*node, "--ros-args", "-p", f"output:={output}"])
+
+
 def test_kill_loses_at_most_a_second(stage, tmp_path: Path) -> None:
     output = tmp_path / "out.mcap"
     node = Node("sender")
     publisher = node.create_publisher(Header, "beat", STREAM)
     stage.add(node)
-    command = [
-        sys.executable,
-        "-m",
-        "sugiyama_ros.nodes.executables",
-        "recorder",
-        "--ros-args",
-        "-p",
-        f"output:={output}",
-    ]
-    child = subprocess.Popen(command)
+    child = started_recorder(output)
     sent: list[tuple[int, float]] = []
 
     def send() -> bool:
@@ -184,16 +181,7 @@ def test_a_signal_leaves_a_closed_file(stage, tmp_path: Path) -> None:
     node = Node("sender")
     publisher = node.create_publisher(String, "plain", STREAM)
     stage.add(node)
-    command = [
-        sys.executable,
-        "-m",
-        "sugiyama_ros.nodes.executables",
-        "recorder",
-        "--ros-args",
-        "-p",
-        f"output:={output}",
-    ]
-    child = subprocess.Popen(command)
+    child = started_recorder(output)
     try:
         stage.until(lambda: publisher.get_subscription_count() > 0)
         for k in range(100):
