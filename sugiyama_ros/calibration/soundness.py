@@ -1,8 +1,9 @@
 """Whether calibrated drivers are sound: does the filter know its own errors, or has it diverged?"""
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.calibration.result import Calibration
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.causal import ChainJob, predict_samples
@@ -43,7 +44,7 @@ def cautions(calibration: Calibration) -> list[str]:
     t = calibration.road
     if t is None or calibration.settings.formulation == "paper":
         return []
-    nis, vehicles = mean_nis(calibration), t.vehicle
+    nis, vehicles = mean_nis(calibration), np.array([driver.shown for driver in calibration.drivers])
     lines = []
     small, large = nis < _LEAST_NIS, nis > _LARGEST_NIS
     if small.any():
@@ -63,11 +64,11 @@ def cautions(calibration: Calibration) -> list[str]:
     if alone.any():
         lines.append(
             f"{_named(vehicles[alone])}: follows nobody: v_star holds only if the road ahead was free, and kappa_v is"
-            " not known; `sugiyama convert` to tracks leaves such vehicles out"
+            " not known"
         )
     return lines
 
 
-def _named(vehicles: Ints) -> str:
+def _named(vehicles: NDArray[np.str_]) -> str:
     shown = ", ".join(str(v) for v in vehicles[:5])
     return f"vehicle{'s' if len(vehicles) > 1 else ''} {shown}" + (", ..." if len(vehicles) > 5 else "")

@@ -74,9 +74,10 @@ def choices_of(said: Any, path: object) -> Choices:
     """What the content of a map says; ``path`` is its name in a message. Raises InputError."""
     if not isinstance(said, Mapping):
         raise InputError(f"{path}: not a map of columns; give lines like 'lane: Lane_ID'")
-    unknown = [name for name in said if name not in (*_MAPPED, "reference", "ring_m", "view")]
+    known = (*_MAPPED, "reference", "ring_m", "view")
+    unknown = [name for name in said if name not in known]
     if unknown:
-        raise InputError(f"{path}: {str(unknown[0])[:40]!r} is no column of tracks; choose among {', '.join(_MAPPED)}")
+        raise InputError(f"{path}: {str(unknown[0])[:40]!r} is no column of tracks; choose among {', '.join(known)}")
     choices = Choices(
         columns={name: _column(path, name, said[name]) for name in _MAPPED if name in said},
         reference=_one_of(path, "reference", said.get("reference"), _REFERENCES),
