@@ -20,16 +20,21 @@ pytestmark = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def case1():
-    return read_tracks(CASE1).dense()
+    return read_tracks(CASE1)
 
 
 @pytest.fixture(scope="module")
-def fits(case1):
-    return list(calibrate(case1, "paper"))
+def ring(case1):
+    return case1.dense()
 
 
-def test_the_leader_of_block_k_is_block_k_plus_1(case1):
-    assert np.all(case1.leader == np.roll(np.arange(22), -1))
+@pytest.fixture(scope="module")
+def fits(ring):
+    return list(calibrate(ring, "paper"))
+
+
+def test_the_leader_of_block_k_is_block_k_plus_1(ring):
+    assert np.all(ring.leader == np.roll(np.arange(22), -1))
 
 
 def test_plain_maximum_likelihood_gives_the_papers_means(fits):
@@ -59,9 +64,9 @@ def test_several_starts_find_higher_maxima(case1, fits):
     assert found["kappa_v"].mean() == pytest.approx(0.198, abs=0.001)
 
 
-def test_the_causal_filter_predicts_better(case1, fits):
+def test_the_causal_filter_predicts_better(ring, fits):
     """The gain is above 1,500 in log-likelihood, even at the best parameters of the paper's formulation."""
-    ours = sum(causal.log_likelihood(chain_behind(case1, i), f.parameters) for i, f in enumerate(fits))
+    ours = sum(causal.log_likelihood(chain_behind(ring, i), f.parameters) for i, f in enumerate(fits))
     theirs = sum(f.log_likelihood for f in fits)
     assert theirs > 4566
     assert theirs == pytest.approx(4567, abs=10)  # an independent implementation, same scoring, another start
