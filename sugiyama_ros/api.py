@@ -173,7 +173,7 @@ def calibrate(
     parameters: Sequence[str] = (),
     *,
     effects: Sequence[str] = (),
-    regularise: bool = False,
+    regularise: bool | None = None,
     profile: bool = False,
     **settings: Any,
 ) -> Calibration:
@@ -189,14 +189,16 @@ def calibrate(
         Names of what is estimated. By default what the paper estimates, and more noises where positions are smooth.
     effects : sequence of str
         Names of effects that are fitted with it, with drivers as draws of one population (causal formulation).
-    regularise : bool
-        Causal: drivers are draws of one population; paper: with the paper's penalty.
+    regularise : bool, optional
+        Causal: drivers are draws of one population; paper: with the paper's penalty. By default only on tracks, where
+        drivers come and go.
     profile : bool
         Whether the intervals come from the profile likelihood, which takes longer.
     **settings
-        classes: number of classes of drivers who share all parameters, 0 for parameters of each driver; law: name of
-        the law by which the drivers drive, all of whose parameters are estimated; seed: seed of all
-        random numbers; scheduler: address of a Dask scheduler whose workers do the work.
+        classes: number of classes of drivers who share all parameters, 0 for parameters of each driver, "auto" for the
+        number that predicts held-out drivers best, "vehicle" for the classes of the vehicles; law: name of the law by
+        which the drivers drive, all of whose parameters are estimated; seed: seed of all random numbers; scheduler:
+        address of a Dask scheduler whose workers do the work.
 
     Returns
     -------
@@ -259,7 +261,7 @@ def compare(
     ----------
     tracks : Tracks or Simulation
         The recording, at least 8 s long, of one road on which everybody is recorded; or of drivers who follow a known
-        vehicle for 15 s.
+        vehicle for 5 s.
     effects : sequence of str
         Names of effects that are added to the base model.
     model : str or Path, optional
@@ -307,7 +309,7 @@ def diagnose(
     ----------
     tracks : Tracks or Simulation
         The recording, at least 8 s long, of one road on which everybody is recorded; or of drivers who follow a known
-        vehicle for 15 s.
+        vehicle for 5 s.
     add : {None, "auto"} or sequence of str
         By default, what the data ask for is added in at most three steps; with ``"auto"``, in as many as they ask for.
         Names, such as ``["drag"]``, are added whatever the data say of them: effects, their forms, groups of constants

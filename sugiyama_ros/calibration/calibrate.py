@@ -6,11 +6,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sugiyama_ros.calibration.result import CalibratedDriver, Calibration, Settings, of_classes, of_fits
-from sugiyama_ros.driver.parameters import index
+from sugiyama_ros.calibration.result import (
+    AUTO,
+    MOST_CLASSES,
+    VEHICLE,
+    CalibratedDriver,
+    Calibration,
+    Settings,
+    of_classes,
+    of_fits,
+)
+from sugiyama_ros.driver.parameters import NAMES, index
 from sugiyama_ros.effects.registry import ROW
-from sugiyama_ros.fit.classes import find_classes
-from sugiyama_ros.fit.driver import Fit, SearchOptions, calibrate, is_determined, jobs, quadratic
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.fit.driver import Fit, SearchOptions, calibrate, is_determined, quadratic
+from sugiyama_ros.fit.driver_types import Population, Predictions
+from sugiyama_ros.fit.recording import FOLDS
 from sugiyama_ros.fit.smooth_positions import evenness
 from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.progress import OnProgress
@@ -40,7 +51,9 @@ def calibrate_drivers(
     """
     road = one_road(tracks, where) if settings.formulation == "paper" else whole_road(tracks)
     with workers(tracks.runs, scheduler) as work:
-        if settings.is_pooled:
+        if settings.classes:
+            return _named(_in_classes(tracks, road, settings, work, on_progress), tracks)
+        if settings.is_pooled(on_tracks=road is None):
             return _named(_pooled(tracks, road, settings, work), tracks)
         if road is None:
             # Imported here: drivers on one road do not need what follows tracks, which loads slowly.
@@ -49,8 +62,6 @@ def calibrate_drivers(
             return calibrate_tracks(tracks, settings, work, on_progress)
         estimated = settings.estimated or evenness(road).estimated(settings.formulation)
         settings = replace(settings, estimated=estimated)
-        if settings.classes:
-            return _named(_in_classes(road, settings, tracks.about, work), tracks)
         return _named(each_driver(road, settings, tracks.about, work=work, on_progress=on_progress), tracks)
 
 
@@ -82,7 +93,9 @@ def each_driver(
     fits: list[Fit] = []
     for number in range(passes):
         is_last = number == passes - 1
-        options = SearchOptions(settings.is_regularised, settings.profiled and is_last, is_last, from_several=True)
+        options = SearchOptions(
+            bool(settings.is_regularised), settings.profiled and is_last, is_last, from_several=True
+        )
         known, fits = {fit.vehicle: fit.parameters for fit in fits}, []
         for fit in calibrate(road, settings.formulation, settings.estimated, options, known=known, work=work):
             fits.append(fit)
@@ -90,14 +103,42 @@ def each_driver(
     return of_fits(settings, _drivers(road), fits, about, road)
 
 
-def _in_classes(road: DenseTracks, settings: Settings, about: About, work: Executor) -> Calibration:
-    """Calibrate classes of drivers on a whole road. The drivers of a class share all parameters."""
-    drivers = len(road.vehicle)
-    settings.check_classes(drivers, about.source)
-    searches = list(jobs(road, settings.formulation, settings.estimated, SearchOptions(with_errors=False)))
-    samples = int(np.isfinite(road.position_m).sum())
-    classes = find_classes(searches, settings.classes, samples, settings.seed, work)
-    return of_classes(settings, _drivers(road), classes, about, road)
+def _in_classes(
+    tracks: Tracks, road: DenseTracks | None, settings: Settings, work: Executor, on_progress: OnProgress
+) -> Calibration:
+    """Calibrate classes of drivers. The drivers of a class share all parameters, and a recording has its own noises."""
+    # Imported here: drivers who are calibrated alone need no classes, which load slowly.
+    from sugiyama_ros.fit.classes import find_classes
+    from sugiyama_ros.fit.held_out_drivers import chosen, predict_held_out
+    from sugiyama_ros.fit.model import Model, evaluate
+
+    data, estimated = _prepared(tracks, road, settings)
+    places = tuple(index(name) for name in estimated)
+    settings = replace(settings, estimated=estimated)
+    settings.check_classes(data.drivers, tracks.about.source)
+    known: list[str] = []
+    held_out: tuple[Predictions, ...] = ()
+    count = settings.classes if isinstance(settings.classes, int) else 1
+    if settings.classes == VEHICLE:
+        known = [one.vehicle_class for one in data.vicinity.names]
+        if len(set(known)) < 2:
+            raise InputError(f"{tracks.about.source}: all vehicles are of one class; give a number of classes")
+    elif settings.classes == AUTO:
+        most = min(MOST_CLASSES, data.drivers // FOLDS)
+        held_out = tuple(predict_held_out(data, places, most, work, settings.seed, on_progress))
+        count = chosen(held_out)
+    classes = find_classes(data, count, places, work, seed=settings.seed, known=known)
+    model = Model(classes.own_rows, places, (), (1.0,) * len(places), classes.own_rows)
+    drivers = _drivers(road) if road is not None else _followers(data, evaluate(data, model, work))
+    return of_classes(settings, drivers, classes, tracks.about, road, held_out)
+
+
+def _prepared(tracks: Tracks, road: DenseTracks | None, settings: Settings) -> tuple["Recorded", tuple[str, ...]]:
+    """The recording prepared for a fit of all drivers, and the names of the parameters of the paper's driver."""
+    from sugiyama_ros.fit.preparation import prepare_road, prepare_stretches
+
+    data = prepare_stretches(tracks) if road is None else prepare_road(road)
+    return data, settings.estimated or (data.even if road is None else evenness(road)).estimated()
 
 
 def _pooled(tracks: Tracks, road: DenseTracks | None, settings: Settings, work: Executor) -> Calibration:
@@ -109,14 +150,11 @@ def _pooled(tracks: Tracks, road: DenseTracks | None, settings: Settings, work: 
     from sugiyama_ros.diagnosis.refine import with_named
     from sugiyama_ros.fit.joint import fit_base
     from sugiyama_ros.fit.law import in_filter
-    from sugiyama_ros.fit.preparation import prepare_road, prepare_stretches
     from sugiyama_ros.fit.smooth_positions import with_short_periods
     from sugiyama_ros.fit.standard_errors import own_stds, shared_stds
 
-    data = prepare_stretches(tracks) if road is None else prepare_road(road)
-    estimated = settings.estimated
+    data, estimated = _prepared(tracks, road, settings)
     if settings.law == PAPERS:
-        estimated = estimated or (data.even if road is None else evenness(road)).estimated()
         base = fit_base(data, [index(name) for name in estimated], work)
     else:
         base = in_filter(data, settings.law, work)
@@ -131,6 +169,8 @@ def _pooled(tracks: Tracks, road: DenseTracks | None, settings: Settings, work: 
     known = np.array([np.diag(np.linalg.inv(h + np.diag(prior**-2.0))) < 0.25 * prior**2 for h in own_information])
     stds = np.array([[s.get(name, 0.0) for name in ROW.entries] for s in own])
     places = list(fitted.model.individual)
+    medians = np.median(fitted.model.rows[:, places], axis=0).tolist()
+    of_paper = {n: (m, float(s)) for n, m, s in zip(names, medians, prior, strict=True) if n in NAMES}
     known &= is_determined(stds[:, places], fitted.model.rows[:, places])
     return Calibration(
         settings=settings,
@@ -143,6 +183,7 @@ def _pooled(tracks: Tracks, road: DenseTracks | None, settings: Settings, work: 
         about=tracks.about,
         road=None if road is None else with_short_periods(road),
         shared_std=shared,
+        population=Population(of_paper) if settings.law == PAPERS else None,
     )
 
 

@@ -1,15 +1,13 @@
 """Calibration on tracks: vehicles that come and go, on several lanes, with leaders that change or are not known.
 
 A driver's likelihood is the sum over the stretches in which the driver follows a known vehicle. Samples around the
-driver's own lane changes do not count. A driver who follows for a short time says too little about four parameters, and
-gets the parameters of the class of vehicles. There are two passes: in the first, drivers ahead count as typical
+driver's own lane changes do not count. There are two passes: in the first, drivers ahead count as typical
 drivers; in the second, they have the parameters that the first pass found, or those of their class.
 """
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import nullcontext
+from concurrent.futures import Executor
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -17,18 +15,15 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.calibration.result import (
-    BriefDriver,
     CalibratedDriver,
     Calibration,
     ClassMedians,
     Settings,
     medians_of,
-    of_classes,
     of_fits,
 )
 from sugiyama_ros.driver.parameters import SIGMA_A, index
 from sugiyama_ros.filters.extract import Drive
-from sugiyama_ros.fit.classes import find_classes
 from sugiyama_ros.fit.coordinates import lower_bounds, upper_bounds
 from sugiyama_ros.fit.driver import (
     START_SIGMA_A,
@@ -68,30 +63,10 @@ def calibrate_tracks(
     places = np.array([index(name) for name in settings.estimated])
     options = SearchOptions(profiled=settings.profiled)
     search = Job(0, even.typical(speed), places, lower_bounds(even), upper_bounds(speed), options)
-    if settings.classes:
-        return _in_classes(tracks, settings, found.enough, search, work)
     fits, nis = _passes(tracks, found.enough, search, settings.estimated, work, on_progress)
     numbers = numbers_of(tracks)
     drivers = [_who(tracks, numbers, own, one) for own, one in zip(found.enough, nis, strict=True)]
-    ahead = _DriversAhead(tracks, search.start).of(found.enough, fits, settings.estimated)
-    brief = tuple(_brief_driver(tracks, numbers, own, ahead) for own in found.few if following_s(own) > 0.0)
-    return of_fits(settings, drivers, fits, tracks.about, brief=brief)
-
-
-def _in_classes(
-    tracks: Tracks, settings: Settings, drivers: Sequence[Sequence[Drive]], search: Job, work: Executor | None
-) -> Calibration:
-    """Calibrate classes of drivers, behind drivers who count as typical."""
-    settings.check_classes(len(drivers), tracks.about.source)
-    ahead, numbers = _DriversAhead(tracks, search.start), numbers_of(tracks)
-    jobs = [_job(_quick(search), k, own, ahead) for k, own in enumerate(drivers)]
-    samples = sum(int((d.scored & np.isfinite(d.chain.position_m[:, 0])).sum()) for own in drivers for d in own)
-    with ThreadPoolExecutor(1) if work is None else nullcontext(work) as some:
-        classes = find_classes(jobs, settings.classes, samples, settings.seed, some)
-    likeliest = classes.rows[classes.probability.argmax(axis=1)]
-    nis = [_summary(_chains(own, ahead), row)[0] for own, row in zip(drivers, likeliest, strict=True)]
-    who = [_who(tracks, numbers, own, one) for own, one in zip(drivers, nis, strict=True)]
-    return of_classes(settings, who, classes, tracks.about)
+    return of_fits(settings, drivers, fits, tracks.about)
 
 
 def _quick(search: Job) -> Job:
@@ -195,13 +170,6 @@ def _summary(followed: DriverChains, row: Array) -> tuple[float, float]:
     counts = np.isfinite(density)
     squares = (innovation**2 / variance)[counts]
     return float(squares.mean()) if len(squares) else float("nan"), float(density[counts].sum())
-
-
-def _brief_driver(tracks: Tracks, numbers: Ints, own: Sequence[Drive], ahead: _DriversAhead) -> BriefDriver:
-    """Give a driver who follows too briefly the parameters of the class."""
-    row = ahead.of_class(own[0].stretch.vehicle_class)
-    nis, log_likelihood = _summary(_chains(own, ahead), row)
-    return BriefDriver(_who(tracks, numbers, own, nis), row, log_likelihood)
 
 
 def _who(tracks: Tracks, numbers: Ints, own: Sequence[Drive], nis: float) -> CalibratedDriver:

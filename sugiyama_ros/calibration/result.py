@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.driver.parameters import index
+from sugiyama_ros.driver.parameters import COUNT, index
 from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.files import Target
-from sugiyama_ros.fit.classes import Classes, DriverTypes
-from sugiyama_ros.fit.driver import Fit, Formulation, quadratic
+from sugiyama_ros.fit.driver import SIGMAS, Fit, Formulation, is_determined
+from sugiyama_ros.fit.driver_types import Classes, DriverTypes, Population, Predictions
 from sugiyama_ros.fit.smooth_positions import ESTIMATED
 from sugiyama_ros.laws.registry import PAPERS, law
 from sugiyama_ros.results import BLUE, Result, TextTable, plain
@@ -25,6 +25,10 @@ from sugiyama_ros.trajectories.dense import DenseTracks
 if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure
 
+#: Instead of a number of classes: the number that predicts held-out drivers best; the classes of the vehicles.
+AUTO, VEHICLE = "auto", "vehicle"
+#: Largest number of classes.
+MOST_CLASSES = 20
 _VAGUE, _NOT_IDENTIFIED = "(not identified)", "not identified"
 
 
@@ -33,27 +37,29 @@ class Settings:
     """What a calibration estimates, and how it searches.
 
     estimated: names of parameters; empty for those that suit the recording; is_regularised: causal: drivers are draws
-    from one population, paper: with the paper's penalty; profiled: whether intervals come from the profile likelihood;
-    effects: names of effects that are fitted, too; classes: number of classes of drivers who share all parameters.
+    from one population, paper: with the paper's penalty; None: causal and on tracks only; profiled: whether intervals
+    come from the profile likelihood; effects: names of effects that are fitted, too; classes: number of classes of
+    drivers who share all parameters, 0 for none; ``AUTO`` for the number that predicts held-out drivers best;
+    ``VEHICLE`` for the classes of the vehicles.
     """
 
     formulation: Formulation = "causal"
     estimated: tuple[str, ...] = ESTIMATED
-    is_regularised: bool = False
+    is_regularised: bool | None = None
     profiled: bool = False
     seed: int = 0
     law: str = PAPERS
     effects: tuple[str, ...] = ()
-    classes: int = 0
+    classes: int | str = 0
 
-    @property
-    def is_pooled(self) -> bool:
-        """Whether all drivers are calibrated together, as one population."""
-        return bool(self.effects) or self.law != PAPERS or (self.is_regularised and self.formulation == "causal")
+    def is_pooled(self, on_tracks: bool) -> bool:
+        """Whether all drivers are calibrated together, as draws from one population."""
+        wanted = on_tracks and not self.profiled if self.is_regularised is None else self.is_regularised
+        return bool(self.effects) or self.law != PAPERS or (wanted and self.formulation == "causal")
 
     def check_classes(self, drivers: int, source: str) -> None:
         """Raise InputError for more classes than drivers."""
-        if drivers < self.classes:
+        if isinstance(self.classes, int) and drivers < self.classes:
             raise InputError(f"{source}: {drivers} drivers, {self.classes} classes; give --classes {drivers} at most")
 
     def check(self, option: Callable[[str], str] = str) -> None:
@@ -62,11 +68,15 @@ class Settings:
         is_paper = self.formulation == "paper"
         if self.formulation not in ("paper", "causal"):
             raise InputError(f"{option('formulation')}: {self.formulation!r} is not known; give paper or causal")
-        for name, value in (("classes", self.classes), ("seed", self.seed)):
-            if value < 0:
-                raise InputError(f"{option(name)}: {value} is not possible; give 0 or more")
+        if self.seed < 0:
+            raise InputError(f"{option('seed')}: {self.seed} is not possible; give 0 or more")
+        number_of_classes(self.classes, option)
         law(self.law)
-        for name, is_given in (("effects", bool(self.effects)), ("law", self.law != PAPERS)):
+        for name, is_given in (
+            ("effects", bool(self.effects)),
+            ("law", self.law != PAPERS),
+            ("classes", bool(self.classes)),
+        ):
             if is_given and is_paper:
                 raise InputError(f"{option(name)}: the paper's formulation knows none; use the causal formulation")
         if self.law != PAPERS and self.estimated:
@@ -74,12 +84,26 @@ class Settings:
                 f"{option('parameters')}: with a law, its parameters, sigma_nu and sigma_a are estimated; leave it out"
             )
         others = f"{effects}, {option('law')}, {regularise}"
-        if self.is_pooled and self.profiled:
+        if self.is_pooled(on_tracks=False) and self.profiled:
             raise InputError(f"{profile}: is for drivers calibrated one by one; leave out {others}")
-        if self.classes and (self.is_pooled or self.is_regularised or self.profiled):
+        if self.classes and (self.is_pooled(on_tracks=False) or self.profiled):
             raise InputError(
                 f"{option('classes')}: the drivers of a class share all parameters; leave out {others}, {profile}"
             )
+
+
+def number_of_classes(given: object, option: Callable[[str], str] = str) -> int | str:
+    """Read a number of classes, ``AUTO`` or ``VEHICLE``. Raises InputError."""
+    if given in (AUTO, VEHICLE):
+        return str(given)
+    try:
+        count = int(str(given))
+    except ValueError:
+        count = -1
+    if not 0 <= count <= MOST_CLASSES:
+        name = option("classes")
+        raise InputError(f"{name}: {given} is not possible; give 0 to {MOST_CLASSES}, {AUTO} or {VEHICLE}")
+    return count
 
 
 @dataclass(frozen=True)
@@ -104,15 +128,6 @@ class CalibratedDriver:
     def shown(self) -> str:
         """Name in tables."""
         return f"{self.recording} {self.vehicle}".strip()
-
-
-@dataclass(frozen=True, eq=False)
-class BriefDriver:
-    """A driver who follows too briefly for own parameters: the class's row, and the log-likelihood [nats] with it."""
-
-    driver: CalibratedDriver
-    row: Array
-    log_likelihood: float
 
 
 @dataclass(frozen=True)
@@ -159,8 +174,10 @@ class Calibration(Result):
         Standard deviations of the parameters that all drivers share, by name.
     classes : Classes, optional
         Classes of drivers, if the drivers were divided into classes.
-    brief : tuple of BriefDriver
-        Drivers on tracks who follow a known vehicle too briefly, with the parameters of their class.
+    population : Population, optional
+        Of which population the drivers are draws.
+    held_out : tuple of Predictions
+        How well classes and a population predict drivers whom they were not fitted to, if that was asked for.
     """
 
     settings: Settings
@@ -174,7 +191,8 @@ class Calibration(Result):
     road: DenseTracks | None = None
     shared_std: Mapping[str, float] | None = None
     classes: Classes | None = None
-    brief: tuple[BriefDriver, ...] = ()
+    population: Population | None = None
+    held_out: tuple[Predictions, ...] = ()
 
     @property
     def vehicle_classes(self) -> tuple[ClassMedians, ...]:
@@ -193,20 +211,14 @@ class Calibration(Result):
 
         origin = [d.number for d in self.drivers], self.about.source, self.about.sha256
         found = FittedDrivers(*origin, self.rows, self.std, self.shared_std or {}, float(self.log_likelihood.sum()))
-        types = None if self.classes is None else DriverTypes(self.classes.share, self.classes.rows)
-        write_drivers(target, found, types)
+        types = None if self.classes is None else DriverTypes(self.classes.share, self.classes.rows[:, :COUNT])
+        write_drivers(target, found, types, self.population)
 
     def headline(self) -> str:
         """Say how many drivers were calibrated, and for how many of them each parameter is identified."""
         held = ", ".join(f"{n} of {sum(one[n] for one in self.identified)}" for n in self.settings.estimated)
         total = f"{self.settings.formulation} formulation, log-likelihood {self.log_likelihood.sum():.1f}"
-        said = f"{len(self.rows)} drivers, {total}; identified: {held}"
-        if not self.brief:
-            return said
-        from sugiyama_ros.fit.preparation import LEAST_FOLLOWING_S  # here: only tracks need it, and it loads slowly
-
-        few = f"follow for less than {LEAST_FOLLOWING_S:g} s, with the parameters of their class"
-        return f"{said}; {len(self.brief)} {few}"
+        return f"{len(self.rows)} drivers, {total}; identified: {held}"
 
     def records(self) -> list[dict[str, Any]]:
         """List the drivers.
@@ -277,13 +289,15 @@ class Calibration(Result):
             "wall_s": wall_s,
         }
         if self.classes is not None:
-            document |= {"classes": _classes_of(self.classes, self.settings.estimated), "bic": self.classes.bic}
+            document["classes"] = _classes_of(self.classes, self.settings.estimated)
             for driver, probability in zip(drivers, self.classes.probability.tolist(), strict=True):
                 driver["class_probability"] = probability
+        if self.population is not None:
+            document["population"] = self.population.document()
+        if self.held_out:
+            document["held_out_drivers"] = [one.document(self.held_out[0]) for one in self.held_out]
         if self.road is None:
             document |= {
-                "left_out": len(self.brief),
-                "brief_drivers": [self._brief(one) for one in self.brief],
                 "vehicle_classes": {one.vehicle_class: one.medians for one in self.vehicle_classes},
                 "class_pairs": [
                     {"class": p.vehicle_class, "leader_class": p.leader_class, "drivers": p.drivers, **p.medians}
@@ -309,9 +323,6 @@ class Calibration(Result):
             for one in (*self.vehicle_classes, *pairs):
                 cells = ["" if (m := one.medians[n]) is None else f"{m:.3f}" for n in names]
                 rows.append((f"median of {one.drivers}", one.shown, "", *cells, "", ""))
-            for few in self.brief:
-                cells = [f"{few.row[index(n)]:.3f} (of the class)" for n in names]
-                rows.append(_row(few.driver, cells, few.log_likelihood, on_tracks))
         else:
             means = [f"{fmean(held[n]):.3f}" if held[n] else "nan" for n in names]
             rows.append(("mean", *means, f"{float(self.log_likelihood.mean()):.1f}"))
@@ -321,7 +332,7 @@ class Calibration(Result):
         return TextTable(title, headings, tuple(rows), left=2 if on_tracks else 0)
 
     def class_sentences(self) -> list[str]:
-        """Say the share and the parameters of each class, and the information criterion.
+        """Say the share and the parameters of each class, and which models predict held-out drivers better.
 
         The list is empty if the drivers were not divided into classes.
         """
@@ -329,10 +340,15 @@ class Calibration(Result):
             return []
         names, lines = self.settings.estimated, []
         for number, one in enumerate(_classes_of(self.classes, names)):
-            values = ", ".join(f"{n} {one[n]:.3f} {_within(one['std'][n], '.3f')}" for n in names)
-            lines.append(f"class {number}: {one['share']:.0%} of the drivers, {values}")
-        bic = f"Bayesian information criterion {self.classes.bic:.1f}"
-        return [*lines, f"{bic}: the best number of classes has the smallest criterion"]
+            values = ", ".join(f"{n} {one[n]:.3f} ({_ends(*one['interval'][n])})" for n in names)
+            lines.append(f"class {one.get('name', number)}: {one['share']:.0%} of the drivers, {values}")
+        for model in self.held_out[1:]:
+            found, said = model.document(self.held_out[0]), []
+            if math.isfinite(found["whole"]):
+                said.append(f"{found['whole']:+.2f} ± {found['whole_std']:.2f}")
+            said.append(f"{found['later']:+.2f} ± {found['later_std']:.2f} for the second half, knowing the first")
+            lines.append(f"held-out drivers, {model.name} against one class [nats a driver]: {'; '.join(said)}")
+        return lines
 
     def shared_sentences(self) -> list[str]:
         """Say the values of the parameters that all drivers share, one line for each effect."""
@@ -365,15 +381,14 @@ class Calibration(Result):
         who = {"recording": d.recording, "vehicle": d.vehicle, "class": d.vehicle_class}
         return {**who, "stretches": d.stretches, "following_s": d.following_s}
 
-    def _brief(self, one: BriefDriver) -> dict[str, Any]:
-        who = {name: value for name, value in self._who(one.driver).items() if name != "stretches"}
-        values = {n: float(one.row[index(n)]) for n in self.settings.estimated}
-        return {**who, "parameters_of": "class", **values, "log_likelihood": one.log_likelihood, "nis": one.driver.nis}
-
     def _cell(self, d: Mapping[str, Any], name: str) -> str:
         low, high = d["interval"][name]
         known = f"{low:.3f} to {high:.3f}" if self.settings.profiled else _within(d["std"][name], ".3f")
-        return f"{d[name]:.3f} {known}" if d["identified"][name] and known != _VAGUE else _NOT_IDENTIFIED
+        # a draw from a population has a value, also if the driver's own samples say little
+        is_known = d["identified"][name] or (
+            self.population is not None and bool(is_determined(d["std"][name], d[name]))
+        )
+        return f"{d[name]:.3f} {known}" if is_known and known != _VAGUE else _NOT_IDENTIFIED
 
     def _shared(self) -> dict[str, dict[str, dict[str, float]]]:
         """Value and std of each shared parameter, by effect and parameter; nothing for an effect that was not found.
@@ -394,7 +409,6 @@ def of_fits(
     fits: Sequence[Fit],
     about: About,
     road: DenseTracks | None = None,
-    brief: tuple[BriefDriver, ...] = (),
 ) -> Calibration:
     """Return the calibration that fits of single drivers make."""
     names = settings.estimated
@@ -408,7 +422,6 @@ def of_fits(
         log_likelihood=np.array([fit.log_likelihood for fit in fits]),
         about=about,
         road=road,
-        brief=brief,
     )
 
 
@@ -418,21 +431,26 @@ def of_classes(
     classes: Classes,
     about: About,
     road: DenseTracks | None = None,
+    held_out: tuple[Predictions, ...] = (),
 ) -> Calibration:
     """Return the calibration in which each driver has the parameters of the likeliest class."""
     names, likeliest = settings.estimated, classes.probability.argmax(axis=1)
-    places, rows, std = [index(name) for name in names], classes.rows[likeliest], classes.std[likeliest]
+    places, interval = [index(name) for name in names], classes.interval[likeliest]
+    std = np.ptp(interval, axis=-1) / (2.0 * SIGMAS)
+    determined = is_determined(std, classes.own_rows)
     return Calibration(
         settings=settings,
         drivers=tuple(drivers),
-        rows=ROW.with_effects(rows),
+        rows=classes.own_rows,
         std=tuple(dict(zip(names, one, strict=True)) for one in std[:, places].tolist()),
-        identified=tuple(dict(zip(names, one, strict=True)) for one in np.isfinite(std[:, places]).tolist()),
-        interval=quadratic(rows, std),
+        identified=tuple(dict(zip(names, one, strict=True)) for one in determined[:, places].tolist()),
+        interval=interval,
         log_likelihood=classes.log_likelihood,
         about=about,
         road=road,
         classes=classes,
+        population=classes.population(names),
+        held_out=held_out,
     )
 
 
@@ -457,19 +475,25 @@ def _row(d: CalibratedDriver, cells: Sequence[str], log_likelihood: float, on_tr
     return (d.shown, d.vehicle_class, f"{d.following_s:.0f}", *cells, f"{log_likelihood:.1f}", f"{d.nis:.2f}")
 
 
+def _ends(low: float, high: float) -> str:
+    """Ends of an interval, as text."""
+    return f"{low:.3f} to {high:.3f}" if math.isfinite(high) else f"at least {low:.3f}"
+
+
 def _within(std: float, form: str) -> str:
     """How well a parameter is known, as text."""
     return f"± {std:{form}}" if math.isfinite(std) else _VAGUE
 
 
 def _classes_of(classes: Classes, names: Sequence[str]) -> list[dict[str, Any]]:
-    """Collect the share of the drivers, the parameters and their std, for each class."""
+    """Collect the share of the drivers, the parameters and their 95 % intervals, for each class."""
     places = [index(name) for name in names]
     return [
         {
-            "share": float(share),
+            **({"name": classes.names[k]} if classes.names else {}),
+            "share": float(classes.share[k]),
             **dict(zip(names, row[places].tolist(), strict=True)),
-            "std": dict(zip(names, std[places].tolist(), strict=True)),
+            "interval": dict(zip(names, interval[places].tolist(), strict=True)),
         }
-        for share, row, std in zip(classes.share, classes.rows, classes.std, strict=True)
+        for k, (row, interval) in enumerate(zip(classes.rows, classes.interval, strict=True))
     ]

@@ -50,12 +50,12 @@ class _CalibrateOptions:
         ),
     ] = ""
     regularise: Annotated[
-        bool,
+        bool | None,
         typer.Option(
-            "--regularise",
-            help="Let the drivers resemble each other: as draws from one population, or by the paper's penalty.",
+            help="Let the drivers resemble each other: as draws from one population, or by the paper's penalty. By"
+            " default on tracks, where drivers come and go.",
         ),
-    ] = False
+    ] = None
     profile: Annotated[
         bool,
         typer.Option(
@@ -64,8 +64,12 @@ class _CalibrateOptions:
     ] = False
     law: Law = PAPERS
     classes: Annotated[
-        int, typer.Option(min=0, help="Number of classes of drivers who share all parameters, for short recordings.")
-    ] = 0
+        str,
+        typer.Option(
+            help="Classes of drivers who share all parameters: their number; auto for the number that predicts held-out"
+            " drivers best; vehicle for the classes of the vehicles; 0 for none."
+        ),
+    ] = "0"
     seed: Seed = 0
     scheduler: Scheduler = None
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Model file (YAML) to write.")] = None
@@ -76,7 +80,7 @@ class _CalibrateOptions:
     @property
     def settings(self) -> "Settings":
         """What the library is asked for. Raises InputError for options that contradict each other."""
-        from sugiyama_ros.calibration.result import Settings
+        from sugiyama_ros.calibration.result import Settings, number_of_classes
 
         settings = Settings(
             formulation=self.formulation,  # type: ignore[arg-type]
@@ -86,7 +90,7 @@ class _CalibrateOptions:
             seed=self.seed,
             law=self.law,
             effects=names(self.effects),
-            classes=self.classes,
+            classes=number_of_classes(self.classes, "--{}".format),
         )
         settings.check("--{}".format)
         return settings

@@ -1,174 +1,368 @@
 """Classes of drivers who share their parameters, for recordings that are too short to fit each driver alone.
 
-The classes are a mixture model (latent classes), fitted by the EM algorithm (Dempster, Laird and Rubin, J. R. Stat.
-Soc. B 39 (1977) 1). Each maximisation is one step of Fisher scoring. The class of each driver is known with a
-probability.
+The classes are a mixture model (latent classes). The log-likelihood of a driver is ln sum_c pi_c exp L(theta_c): each
+class c has a share pi_c and parameters theta_c, and the noises of the measurement belong to the recording. The search
+is Newton's method, whose information is the one about the complete data, less the one that is missing because nobody
+sees the class of a driver. It is damped towards the EM algorithm, which has the complete information alone.
+
+References
+----------
+Dempster, Laird and Rubin, J. R. Stat. Soc. B 39 (1977) 1. Louis, J. R. Stat. Soc. B 44 (1982) 226.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
+from scipy.cluster.vq import kmeans2
+from scipy.special import log_softmax, logsumexp, softmax
 
-from sugiyama_ros.arrays import Array
-from sugiyama_ros.driver.parameters import NAMES, index
-from sugiyama_ros.filters.paper import Scored
-from sugiyama_ros.fit.coordinates import coordinate, damped_step
-from sugiyama_ros.fit.driver import STEPS, Fit, Job, carry_out, derivatives, untouched
+from sugiyama_ros.arrays import Array, Ints, Mask
+from sugiyama_ros.driver.parameters import SIGMA_NU, SIGMA_V, SIGMA_X
+from sugiyama_ros.effects.registry import ROW
+from sugiyama_ros.fit.coordinates import ENOUGH_CAUSAL, LONGEST, Damping, coordinate, limits, value
+from sugiyama_ros.fit.driver import SIGMAS, end_of_profile
+from sugiyama_ros.fit.driver_types import Classes
+from sugiyama_ros.fit.joint import LARGEST_STD, fit_base
+from sugiyama_ros.fit.model import Model, PointwiseDensity, evaluate, evaluate_each
+from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.slopes import difference_steps, slopes_of
 
-if TYPE_CHECKING:
-    # The online filter is not needed to keep or write the classes, and takes long to load.
-    from sugiyama_ros.filters.online import Learnt
+# Noises of what measures, and of how it smooths: they belong to a recording, not to a driver.
+_OF_RECORDING = (SIGMA_NU, SIGMA_X, SIGMA_V)
+# A driver who belongs to a class with less than this probability says nothing about it.
+_LEAST_PROBABILITY = 1e-3
+_DAMPING = Damping(least=1e-3, least_after_failure=0.1, most=1e4, start=0.1)
+# Predicted gain [nats] at which the searches from the starts end.
+_ROUGHLY = 1.0
+# Maximum number of steps of a search, and number of starts.
+_STEPS, _STARTS = 40, 4
+# Number of drivers of whom a start is sought, at most.
+_SOME = 100
 
-# The search ends when a step gains less than this [nats]; longest step of a logarithm.
-_ENOUGH, _LONGEST = 0.05, 0.3
-# Number of starts.
-_STARTS = 4
 
+class _Layout(NamedTuple):
+    """Where the K classes' parameters, the R recordings' noises and the logits of the shares stand in one vector (D,).
 
-@dataclass(frozen=True, eq=False)
-class Classes:
-    """K classes of N drivers, the largest class first.
-
-    rows: (K, P), parameters of each class; std: (K, P), standard deviations of the parameters, as if the class of every
-    driver were known; share: (K,), share of the drivers in each class; probability: (N, K), probability that a driver
-    belongs to a class; log_likelihood: (N,), log-likelihood of each driver under the mixture [nats]; bic: bayesian
-    information criterion.
+    typical: (width,), row of a driver of whom nothing is known; own, noise: places in a row of the parameters of a
+    class, and of a recording; recording: (N,), number of the recording of each driver; may: (N, K), whether a driver
+    may belong to a class.
     """
 
-    rows: Array
-    std: Array
-    share: Array
-    probability: Array
+    typical: Array
+    own: tuple[int, ...]
+    noise: tuple[int, ...]
+    recording: Ints
+    may: Mask
+
+    @property
+    def classes(self) -> int:
+        return self.may.shape[1]
+
+    @property
+    def places(self) -> list[int]:
+        return [*self.own, *self.noise]
+
+    @property
+    def ends(self) -> tuple[int, int]:
+        """Ends of the classes' parameters and of the recordings' noises; the logits of all but one class follow."""
+        first = self.classes * len(self.own)
+        return first, first + (int(self.recording.max()) + 1) * len(self.noise)
+
+    def columns(self, k: int) -> Ints:
+        """Entries (N, P) of the vector that are the parameters of each driver in class k."""
+        own = k * len(self.own) + np.arange(len(self.own))
+        noise = self.ends[0] + self.recording[:, None] * len(self.noise) + np.arange(len(self.noise))
+        return np.concatenate([np.tile(own, (len(self.recording), 1)), noise], axis=1)
+
+    def rows(self, x: Array, k: int) -> Array:
+        """Rows (N, width) of the drivers if they belong to class k."""
+        rows = np.tile(self.typical, (len(self.recording), 1))
+        rows[:, self.places] = value(x[self.columns(k)], self.places)
+        return rows
+
+    def logits(self, x: Array) -> Array:
+        return np.concatenate([[0.0], x[self.ends[1] :]])
+
+    def vector(self, centres: Array, noise: Array) -> Array:
+        """Vector of classes with equal shares; centres: (K, own), noise: (R, noise), coordinates."""
+        return np.concatenate([centres.ravel(), noise.ravel(), np.zeros(len(centres) - 1)])
+
+
+class _Mixture(NamedTuple):
+    """A point of a search: the vector, the predictions of each class, log-likelihoods (N,), probabilities (N, K).
+
+    ahead: (N,), class that each driver counts as in front of another driver.
+    """
+
+    x: Array
+    ahead: Ints
+    models: list[Model]
+    samples: list[PointwiseDensity]
     log_likelihood: Array
-    bic: float
+    probability: Array
 
 
-def find_classes(jobs: Sequence[Job], count: int, samples: int, seed: int, work: Executor) -> Classes:
-    """Divide drivers into classes."""
-    # the search starts from the fits of the single drivers
-    fits, places = list(work.map(carry_out, jobs)), jobs[0].places
-    rows = max(
-        (_divided(fits, jobs[0], count, seed + k) for k in range(_STARTS)),
-        key=lambda start: float(_posterior(_scores(jobs, start, None, work), np.full(count, 1.0 / count))[0].sum()),
-    )
-    share = np.full(count, 1.0 / count)
-    scores = _scores(jobs, rows, None, work)
-    value, probability = _posterior(scores, share)
-    shrink = 1.0
-    for _ in range(STEPS):
-        gradient, information = _expected(scores, probability)
-        moved = np.array([_moved(jobs[0], *one, shrink) for one in zip(rows, gradient, information, strict=True)])
-        shares = np.maximum(probability.mean(axis=0), 1e-6)
-        scores_there = _scores(jobs, moved, information, work)
-        value_there, probability_there = _posterior(scores_there, shares)
-        rise = float(value_there.sum() - value.sum())
-        if rise < 0.0 and shrink > 0.1:
-            shrink *= 0.5
-            continue
-        if rise > 0.0:
-            rows, share, scores, value, probability = moved, shares, scores_there, value_there, probability_there
-        if rise < _ENOUGH:
-            break
-    std = np.zeros_like(rows)
-    for k, information_of_class in enumerate(_expected(scores, probability)[1]):
-        held = information_of_class[np.ix_(places, places)]
-        found = np.sqrt(np.maximum(np.diag(np.linalg.pinv(held, hermitian=True)), 0.0))
-        std[k, places] = np.where(untouched(held, rows[k, places]), np.inf, found)
-    order = np.argsort(-share)
-    free = count * len(places) + count - 1
-    bic = -2.0 * float(value.sum()) + free * float(np.log(samples))
-    return Classes(
-        rows=rows[order],
-        std=std[order],
-        share=share[order],
-        probability=probability[:, order],
-        log_likelihood=value,
-        bic=bic,
-    )
+def find_classes(
+    data: Recorded,
+    count: int,
+    estimated: Sequence[int],
+    work: Executor,
+    *,
+    seed: int = 0,
+    known: Sequence[str] = (),
+) -> Classes:
+    """Divide drivers into ``count`` classes; ``estimated``: places of the parameters in a row.
 
-
-def _expected(scores: Sequence[Sequence[Scored]], probability: Array) -> tuple[list[Array], list[Array]]:
-    """Gradient (P,) and information (P, P) of each class; the probability of the class weights each driver."""
-    pairs, classes = list(zip(probability, scores, strict=True)), range(probability.shape[1])
-    gradient = [np.asarray(sum(r[k] * s[k].gradient for r, s in pairs)) for k in classes]
-    return gradient, [np.asarray(sum(r[k] * s[k].information for r, s in pairs)) for k in classes]
-
-
-def _moved(job: Job, row: Array, gradient: Array, information: Array, share: float) -> Array:
-    """Parameters (P,) of a class after a ``share`` of a step of Fisher scoring."""
-    slope, curvature = derivatives(Scored(0.0, gradient, information), row, job.places)
-    # the ridge defines the step of a class without drivers
-    step = np.clip(damped_step(curvature, slope, 0.0, 1e-6), -_LONGEST, _LONGEST)
-    x = coordinate(row[job.places], job.places) + share * step
-    return replace(job, start=row).parameters(np.clip(x, *job.ends))
-
-
-def _scores(
-    jobs: Sequence[Job], rows: Array, information: Sequence[Array] | None, work: Executor
-) -> list[list[Scored]]:
-    """Score of every driver's samples under every class."""
-    return list(work.map(_score, [(job, rows, information) for job in jobs]))
-
-
-def _score(task: tuple[Job, Array, Sequence[Array] | None]) -> list[Scored]:
-    job, rows, information = task
-    return [job.score(row, information[k] if information is not None else None) for k, row in enumerate(rows)]
-
-
-def _posterior(scores: Sequence[Sequence[Scored]], share: Array) -> tuple[Array, Array]:
-    """Log-likelihood (N,) of the mixture, and probabilities (N, K) of the classes."""
-    # Imported here, and kmeans2 below too: only a search for classes needs scipy, which takes long to load.
-    from scipy.special import logsumexp
-
-    joint = np.array([[s.log_likelihood for s in one] for one in scores]) + np.log(share)
-    value = logsumexp(joint, axis=1)
-    return value, np.exp(joint - value[:, None])
-
-
-def _divided(fits: Sequence[Fit], job: Job, count: int, seed: int) -> Array:
-    """Parameters (K, P) of the classes at the start: centres of clusters of the fits of single drivers."""
-    from scipy.cluster.vq import kmeans2
-
-    points = np.log(np.abs([fit.parameters[job.places] for fit in fits]))
-    middle, spread = np.median(points, axis=0), np.maximum(np.std(points, axis=0), 1e-6)
-    # a fit that is far from all others must not be a class of its own
-    clipped = np.clip((points - middle) / spread, -2.0, 2.0)
-    centres, _ = kmeans2(clipped, count, minit="++", rng=np.random.default_rng(seed), missing="warn")
-    rows = np.tile(fits[0].parameters, (count, 1))
-    rows[:, job.places] = np.sign(fits[0].parameters[job.places]) * np.exp(middle + spread * centres)
-    return rows
-
-
-@dataclass(frozen=True, eq=False)
-class DriverTypes:
-    """Classes of drivers, as ``fit.classes`` finds them.
-
-    share: (K,), share of all drivers in each class; rows: (K, P), parameters of each class.
+    known: class of each driver, if the classes are known; there are as many classes as names.
     """
+    search = search_of(data, count, estimated, work, known)
+    at = search.maximise(search.start(fit_base(data, estimated, work).model.rows, seed))
+    return search.result(at, sorted(set(known)))
 
-    share: Array
-    rows: Array
 
-    def probabilities(self, learnt: "Learnt", prior: "Learnt") -> Array:
-        """Return the probability (K,) of each class for one driver.
+def search_of(
+    data: Recorded, count: int, estimated: Sequence[int], work: Executor, known: Sequence[str] = ()
+) -> "Search":
+    """Return the search for classes; arguments as for ``find_classes``."""
+    if known:
+        may = np.array([[name == own for name in sorted(set(known))] for own in known])
+    else:
+        may = np.ones((data.drivers, count), np.bool_)
+    return Search(data, _layout(data, estimated, may), work)
 
-        Both arguments are normal distributions of logarithms. Their ratio is the likelihood that the samples give to
-        the parameters of a class.
+
+def predicted_by(search: "Search", at: "_Mixture", data: Recorded, seen: Ints, out: Ints) -> Array:
+    """Return the log-likelihood (n,) of the drivers ``out`` under classes that were fitted to the drivers ``seen``.
+
+    data: all drivers, in the recordings of the fit.
+    """
+    may = np.ones((data.drivers, search.layout.classes), np.bool_)
+    layout = _layout(data, search.layout.places, may)._replace(typical=search.layout.typical)
+    ahead = np.full(data.drivers, int(at.probability.sum(axis=0).argmax()))
+    ahead[seen] = at.probability.argmax(axis=1)
+    return Search(data, layout, search.work, out.tolist()).at(at.x, ahead).log_likelihood
+
+
+def _layout(data: Recorded, estimated: Sequence[int], may: Mask) -> _Layout:
+    names = [one.recording for one in data.vicinity.names]
+    return _Layout(
+        typical=ROW.with_effects(data.even.typical(data.speed)),
+        own=tuple(k for k in estimated if k not in _OF_RECORDING),
+        noise=tuple(k for k in estimated if k in _OF_RECORDING),
+        recording=np.unique(names, return_inverse=True)[1],
+        may=may,
+    )
+
+
+class Search:
+    """The search for the vector of a layout, by the drivers in ``who``."""
+
+    def __init__(self, data: Recorded, layout: _Layout, work: Executor, who: Sequence[int] | None = None) -> None:
+        self.data, self.layout, self.work = data, layout, work
+        self.who = np.arange(data.drivers) if who is None else np.asarray(who)
+        low, high = np.sort(coordinate(limits(layout.places, data.lower, data.upper), layout.places), axis=0)
+        self.low, self.high = np.full((2, layout.ends[1] + layout.classes - 1), [[-np.inf], [np.inf]])
+        for k in range(layout.classes):
+            columns = layout.columns(k)
+            self.low[columns], self.high[columns] = low, high
+
+    def at(self, x: Array, ahead: Ints) -> _Mixture:
+        """The point at a vector; ``ahead``: as in a point."""
+        layout, own = self.layout, tuple(self.layout.places)
+        each = [layout.rows(x, k) for k in range(layout.classes)]
+        leaders = np.array(each)[ahead, np.arange(self.data.drivers)]
+        models = [Model(rows, own, (), (LARGEST_STD,) * len(own), leaders) for rows in each]
+        samples = evaluate_each(self.data, models, self.work, self.who.tolist())
+        density = np.array([np.nansum(one.log_likelihood[self.who], axis=1) for one in samples]).T
+        joint = np.where(layout.may[self.who], density + log_softmax(layout.logits(x)), -np.inf)
+        total = logsumexp(joint, axis=1)
+        return _Mixture(x, ahead, models, samples, total, np.exp(joint - total[:, None]))
+
+    def derivatives(self, at: _Mixture) -> tuple[Array, Array, Array]:
+        """Gradient (D,), complete information (D, D), and the information that is missing."""
+        layout, drivers, size = self.layout, len(self.who), len(at.x)
+        each, complete = np.zeros((drivers, layout.classes, size)), np.zeros((size, size))
+        steps = np.tile(difference_steps(self.data, layout.places), (self.data.drivers, 1))
+        for k, (model, samples) in enumerate(zip(at.models, at.samples, strict=True)):
+            near = np.flatnonzero(at.probability[:, k] > _LEAST_PROBABILITY)
+            who, columns = self.who[near], layout.columns(k)[self.who[near]]
+            found = slopes_of(self.data, model, samples, steps, self.work, who.tolist())
+            for i, cols, s in zip(near, columns, found, strict=True):
+                each[i, k, cols] = s.score.sum(axis=0)
+                complete[np.ix_(cols, cols)] += at.probability[i, k] * s.information.sum(axis=0)
+        share = softmax(layout.logits(at.x))
+        each[:, :, layout.ends[1] :] = (np.eye(layout.classes) - share)[:, 1:]
+        logits = slice(layout.ends[1], None)
+        complete[logits, logits] = drivers * (np.diag(share) - np.outer(share, share))[1:, 1:]
+        expected = np.einsum("nk,nkd->nd", at.probability, each)
+        missing = np.einsum("nk,nka,nkb->ab", at.probability, each, each) - expected.T @ expected
+        return expected.sum(axis=0), complete, missing
+
+    def maximise(self, here: _Mixture, enough: float = ENOUGH_CAUSAL) -> _Mixture:
+        """Return the point at the maximum of the log-likelihood.
+
+        Drivers ahead have the class that is likeliest so far, as long as the log-likelihood rises by it. ``enough``:
+        predicted gain [nats] of a step at which the search ends.
         """
-        # Imported here: commands that only read or write classes start sooner without scipy.
-        from scipy.special import softmax
+        damping, known, follows = _DAMPING.start, self.derivatives(here), True
+        for _ in range(_STEPS):
+            gradient, complete, missing = known
+            step = _step(gradient, complete, missing, damping)
+            x = np.clip(here.x + np.clip(step, -LONGEST, LONGEST), self.low, self.high)
+            if 0.5 * gradient @ (x - here.x) < enough or damping > _DAMPING.most:
+                break
+            ahead = here.ahead.copy()
+            if follows:
+                ahead[self.who] = here.probability.argmax(axis=1)
+            there = self.at(x, ahead)
+            is_better = bool(there.log_likelihood.sum() > here.log_likelihood.sum())
+            if not is_better and (ahead != here.ahead).any():
+                follows = False
+                continue
+            damping = float(_DAMPING.updated(damping, is_better, not is_better))
+            if is_better:
+                here, follows = there, True
+                known = self.derivatives(here)
+        return here
 
-        # the classes say nothing of parameters of effects
-        of_driver = [k for k, name in enumerate(learnt.names) if name in NAMES]
-        logs = np.log(self.rows[:, [index(learnt.names[k]) for k in of_driver]])
-        gain = _log_density(logs, learnt, of_driver) - _log_density(logs, prior, of_driver)
-        return np.asarray(softmax(np.log(self.share) + gain))
+    def start(self, drivers: Array, seed: int) -> _Mixture:
+        """The start next to the highest maximum that some of the drivers lead to.
+
+        The searches begin at centres of clusters of the rows (N, width) of drivers who are draws from one population.
+        """
+        layout = self.layout
+        points = coordinate(drivers[:, layout.own], layout.own)
+        centre, scale = np.median(points, axis=0), np.maximum(points.std(axis=0), 1e-6)
+        noise = np.array(
+            [
+                np.median(coordinate(drivers[layout.recording == r][:, layout.noise], layout.noise), axis=0)
+                for r in range(int(layout.recording.max()) + 1)
+            ]
+        )
+        if not layout.may.all():
+            label = layout.may.argmax(axis=1)
+            return self.at(layout.vector(np.array([points[who].mean(axis=0) for who in layout.may.T]), noise), label)
+        # a driver who is far from all others must not be a class of their own
+        near = np.clip((points - centre) / scale, -2.0, 2.0)
+        some = Search(self.data, layout, self.work, range(0, self.data.drivers, -(-self.data.drivers // _SOME)))
+        tried = []
+        for k in range(_STARTS):
+            rng = np.random.default_rng(seed + k)
+            centres, label = kmeans2(near, layout.classes, minit="++", rng=rng, missing="warn")
+            x = layout.vector(centre + centres * scale, noise)
+            tried.append(some.maximise(some.at(x, label.astype(np.int64)), _ROUGHLY))
+        best = max(tried, key=lambda point: float(point.log_likelihood.sum()))
+        return self.at(best.x, best.ahead)
+
+    def result(self, at: _Mixture, names: Sequence[str] = ()) -> Classes:
+        """The classes at the maximum, the largest one first; ``names``: of the classes, if they are known."""
+        layout = self.layout
+        _, complete, missing = self.derivatives(at)
+        observed = complete - missing
+        errors = np.sqrt(np.maximum(np.diag(np.linalg.pinv(observed, hermitian=True)), 0.0))
+        share = softmax(layout.logits(at.x))
+        rows = np.array([model.rows[0] for model in at.models])
+        interval = np.stack([rows, rows], axis=-1)
+        for k in range(layout.classes):
+            columns = layout.columns(k)[0]
+            own, of_class = len(layout.own), columns[: len(layout.own)]
+            # what the other classes, the noises and the shares add to the errors of the class alone
+            alone = np.sqrt(np.diag(np.linalg.pinv(observed[np.ix_(of_class, of_class)], hermitian=True)))
+            away = np.tile(np.array([-SIGMAS, SIGMAS]), (len(columns), 1)) * errors[columns, None]
+            away[:own] = _ClassAlone(self, at, k).ends(alone) * (errors[of_class] / alone)[:, None]
+            interval[k, layout.places] = value((at.x[columns, None] + away).T, layout.places).T
+        likeliest = at.probability.argmax(axis=1)
+        own_rows = np.array([at.models[k].rows[i] for i, k in zip(self.who, likeliest, strict=True)])
+        order = np.argsort(-share)
+        return Classes(
+            tuple(names[k] for k in order) if names else (),
+            rows[order],
+            np.sort(interval[order], axis=-1),
+            share[order],
+            at.probability[:, order],
+            own_rows,
+            at.log_likelihood,
+        )
 
 
-def _log_density(logs: Array, learnt: "Learnt", chosen: list[int]) -> Array:
-    """Log-density (K,) of the chosen parameters at points (K, A), without the terms that are equal for all points."""
-    off, covariance = logs - learnt.mean[chosen], learnt.covariance[np.ix_(chosen, chosen)]
-    return np.asarray(-0.5 * np.sum(off * np.linalg.solve(covariance, off.T).T, axis=1))
+class _ClassAlone:
+    """One class of a mixture whose other parameters stay as they are: intervals from its profile likelihood."""
+
+    def __init__(self, search: Search, at: _Mixture, k: int) -> None:
+        near = np.flatnonzero(at.probability[:, k] > _LEAST_PROBABILITY)
+        self.data, self.work, self.who = search.data, search.work, search.who[near]
+        self.places, self.model, self.known = search.layout.own, at.models[k], at.samples[k]
+        columns = search.layout.columns(k)[0, : len(self.places)]
+        self.x, self.low, self.high = at.x[columns], search.low[columns], search.high[columns]
+        self.share = log_softmax(search.layout.logits(at.x))[k]
+        with np.errstate(divide="ignore"):
+            self.others = at.log_likelihood[near] + np.log1p(-np.minimum(at.probability[near, k], 1.0 - 1e-12))
+        self.height = float(at.log_likelihood[near].sum())
+        self.steps = np.tile(difference_steps(self.data, self.places), (self.data.drivers, 1))
+
+    def ends(self, errors: Array) -> Array:
+        """Distances (P, 2) from the maximum to the ends of 95 % intervals, in coordinates; errors: (P,), a guess."""
+        found = np.zeros((len(self.x), 2))
+        for j, error in enumerate(errors):
+            for side, sign in enumerate((-1.0, 1.0)):
+                furthest = float(self.high[j] - self.x[j] if sign > 0.0 else self.x[j] - self.low[j])
+                found[j, side] = sign * end_of_profile(self._fall(j, sign), float(error), max(0.0, furthest))
+        return found
+
+    def _fall(self, j: int, sign: float) -> Callable[[float], float]:
+        """Square root of twice the fall of the profile, at a distance from the maximum in coordinate j."""
+        last, others = self.x.copy(), np.arange(len(self.x)) != j
+
+        def fall(distance: float) -> float:
+            last[j] = self.x[j] + sign * distance
+            height = self._climb(last, others)
+            return float(np.sqrt(2.0 * max(0.0, self.height - height)))
+
+        return fall
+
+    def _climb(self, x: Array, free: Mask) -> float:
+        """Move the free coordinates of x (P,) to the maximum, in place; returns the log-likelihood there."""
+        height, damping = -np.inf, _DAMPING.start
+        there = x.copy()
+        for _ in range(_STEPS):
+            model, samples, probability, risen = self._at(there)
+            is_better = risen > height
+            damping = float(_DAMPING.updated(damping, is_better, not is_better))
+            if is_better:
+                x[:], height = there, risen
+                found = slopes_of(self.data, model, samples, self.steps, self.work, self.who.tolist())
+                score = np.array([s.score.sum(axis=0) for s in found])[:, free]
+                information = np.array([s.information.sum(axis=0) for s in found])[:, free][:, :, free]
+                gradient = probability @ score
+                complete = np.einsum("n,nab->ab", probability, information)
+                missing = np.einsum("n,na,nb->ab", probability * (1.0 - probability), score, score)
+            step = np.clip(_step(gradient, complete, missing, damping), -LONGEST, LONGEST)
+            there = x.copy()
+            there[free] = np.clip(x[free] + step, self.low[free], self.high[free])
+            if 0.5 * gradient @ (there[free] - x[free]) < ENOUGH_CAUSAL or damping > _DAMPING.most:
+                break
+        return height
+
+    def _at(self, x: Array) -> tuple[Model, PointwiseDensity, Array, float]:
+        rows = self.model.rows.copy()
+        rows[:, self.places] = value(x, self.places)
+        model = replace(self.model, rows=rows, individual=self.places, prior_std=(LARGEST_STD,) * len(self.places))
+        samples = evaluate(self.data, model, self.work, self.who.tolist())
+        joint = self.share + np.nansum(samples.log_likelihood[self.who], axis=1)
+        total = np.logaddexp(self.others, joint)
+        return model, samples, np.exp(joint - total), float(total.sum())
+
+
+def _step(gradient: Array, complete: Array, missing: Array, damping: float) -> Array:
+    """Newton's step (D,) with the observed information, damped towards the complete one until it points uphill."""
+    while True:
+        information = complete * (1.0 + damping) - missing + 1e-9 * np.eye(len(gradient))
+        try:
+            np.linalg.cholesky(information)
+        except np.linalg.LinAlgError:
+            damping = max(10.0 * damping, 0.1)
+            continue
+        return np.asarray(np.linalg.solve(information, gradient))

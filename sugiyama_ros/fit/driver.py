@@ -442,8 +442,8 @@ def untouched(information: Array, values: Array) -> Array:
     return np.asarray((np.square(direction[:, known < _NOTHING]) > _NOTHING).any(axis=1))
 
 
-# A normal variable lies within this many standard deviations of its mean with a probability of 95 %.
-_SIGMAS = 1.96
+#: A normal variable lies within this many standard deviations of its mean with a probability of 95 %.
+SIGMAS = 1.96
 
 
 def quadratic(parameters: Array, std: Array) -> Array:
@@ -452,7 +452,7 @@ def quadratic(parameters: Array, std: Array) -> Array:
     For an infinite std the ends are 0 and infinity; for a std of 0, both are the parameter.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        far = np.exp(_SIGMAS * std / np.abs(parameters))
+        far = np.exp(SIGMAS * std / np.abs(parameters))
         ends = np.stack([parameters / far, parameters * far], axis=-1)
     return np.sort(np.where(std[..., None] > 0.0, ends, parameters[..., None]), axis=-1)
 
@@ -464,19 +464,19 @@ def end_of_profile(fall: Callable[[float], float], guess: float, furthest: float
     """
     near, low = 0.0, 0.0
     far, high = math.inf, math.inf
-    at = min(_SIGMAS * min(guess, 0.5), furthest)
+    at = min(SIGMAS * min(guess, 0.5), furthest)
     for _ in range(20):
         here = fall(at)
-        if here < _SIGMAS:
+        if here < SIGMAS:
             if at >= furthest:
                 return math.inf
             near, low = at, here
         else:
             far, high = at, here
-        if abs(here - _SIGMAS) < 0.05:  # standard deviations
+        if abs(here - SIGMAS) < 0.05:  # standard deviations
             return at
         if high < math.inf:
-            at = near + (far - near) * (_SIGMAS - low) / (high - low)
+            at = near + (far - near) * (SIGMAS - low) / (high - low)
         else:
-            at = min(at * min(max(_SIGMAS / max(here, 1e-9), 1.3), 2.5), furthest)
+            at = min(at * min(max(SIGMAS / max(here, 1e-9), 1.3), 2.5), furthest)
     return at

@@ -17,7 +17,7 @@ from sugiyama_ros.driver.parameters import COUNT, NAMES, check_for_filter, popul
 from sugiyama_ros.effects.registry import EFFECTS, GROUP, ROW, active, effect, index_of, switch_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.files import Target, number, read_yaml, writing
-from sugiyama_ros.fit.classes import DriverTypes
+from sugiyama_ros.fit.driver_types import DriverTypes, Population
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.standard_errors import own_stds, shared_stds
@@ -33,7 +33,8 @@ _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 class ModelFile:
     """The contents of a model file: vehicles (N,), rows (N, WIDTH), active effects, and the origin of the data.
 
-    types: classes of drivers, if they were divided; cautions: what somebody who uses the model must know, in words.
+    types: classes of drivers, if they were divided; population: of which the drivers are draws, if that is known;
+    cautions: what somebody who uses the model must know, in words.
     """
 
     vehicle: Ints
@@ -42,6 +43,7 @@ class ModelFile:
     source: str
     sha256: str
     types: DriverTypes | None = None
+    population: Population | None = None
     cautions: tuple[str, ...] = ()
 
     def effects_to_fit(self) -> tuple[str, ...]:
@@ -104,7 +106,11 @@ class FittedDrivers(NamedTuple):
 
 
 def write_drivers(
-    target: Target, fitted: FittedDrivers, types: DriverTypes | None = None, cautions: Sequence[str] = ()
+    target: Target,
+    fitted: FittedDrivers,
+    types: DriverTypes | None = None,
+    population: Population | None = None,
+    cautions: Sequence[str] = (),
 ) -> None:
     """Write the parameters of drivers as a model file. Raises OutputError."""
     numbers, source, sha256, rows, own_std, shared_std, log_likelihood = fitted
@@ -119,6 +125,8 @@ def write_drivers(
     }
     if cautions:
         document["cautions"] = list(cautions)
+    if population is not None:
+        document["population"] = population.document()
     if types is not None:
         document["classes"] = [
             {"share": float(share), "parameters": dict(zip(NAMES, row.tolist(), strict=True))}
@@ -201,6 +209,7 @@ def read_model(path: Path) -> ModelFile:
             raise InputError(f"{where}: {_wrong(error)}; give every parameter a number") from None
         rows.append(row)
     types = _types(path, document["classes"]) if "classes" in document else None
+    drawn = _population(path, document["population"]) if "population" in document else None
     about_data = document.get("data")
     known = about_data if isinstance(about_data, dict) else {}
     stacked = np.array(rows)
@@ -215,6 +224,7 @@ def read_model(path: Path) -> ModelFile:
         source=source,
         sha256=checksum,
         types=types,
+        population=drawn,
         cautions=tuple(cautions),
     )
 
@@ -239,6 +249,22 @@ def _types(path: Path, classes: Any) -> DriverTypes:
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: classes: {_wrong(error)}; give share and every parameter") from None
     return DriverTypes(share / share.sum(), rows)
+
+
+def _population(path: Path, given: Any) -> Population:
+    """Return the population in a model file. Raises InputError."""
+    found = {}
+    try:
+        for name, about in given.items():
+            median, std = number(about["median"], f"{name}: median"), number(about["log_std"], f"{name}: log_std")
+            if name not in NAMES or std < 0.0:
+                raise ValueError(str(name))
+            found[str(name)] = median, std
+    except InputError as error:
+        raise InputError(f"{path}: population: {error}") from None
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"{path}: population: {_wrong(error)}; give median and log_std of parameters") from None
+    return Population(found)
 
 
 def _wrong(error: Exception) -> str:

@@ -47,12 +47,11 @@ from sugiyama_ros.fit.smooth_positions import (
 from sugiyama_ros.fit.smooth_positions import divided as divided_recording
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.dense import DenseTracks, numbers_of, whole_road
+from sugiyama_ros.trajectories.stretches import SHORTEST_STRETCH_S
 from sugiyama_ros.trajectories.time_base import on_time_base, period_of
 from sugiyama_ros.trajectories.tracks import Tracks
 
 _Kind = TypeVar("_Kind", bound=np.generic)
-#: A driver needs to follow for this long [s] to get parameters of their own.
-LEAST_FOLLOWING_S = 15.0
 # Time [s] over which the highest speed is measured.
 _SPEED_OVER_S = 1.0
 # Empty samples between two stretches: as many as anything looks back.
@@ -182,12 +181,11 @@ def _bounds_of(even: Evenness, speed: float) -> tuple[Array, Array]:
 class Followers:
     """The drivers on tracks who follow a known vehicle: the stretches of each.
 
-    enough: for at least ``LEAST_FOLLOWING_S``; few: the others; decisions: number of decisions of the model's drivers
-    from one measurement to the next; the samples in between are empty.
+    enough: those who follow for as long as the shortest stretch lasts; decisions: number of decisions of the model's
+    drivers from one measurement to the next; the samples in between are empty.
     """
 
     enough: tuple[tuple[Drive, ...], ...]
-    few: tuple[tuple[Drive, ...], ...]
     decisions: int
 
     @property
@@ -204,13 +202,12 @@ def followers(tracks: Tracks, decisions: int | None = None) -> Followers:
         by_driver[drive.stretch.recording, drive.stretch.vehicle].append(divided(drive, parts))
     own = [tuple(one) for one in by_driver.values()]
     found = Followers(
-        tuple(one for one in own if following_s(one) >= LEAST_FOLLOWING_S),
-        tuple(one for one in own if following_s(one) < LEAST_FOLLOWING_S),
+        tuple(one for one in own if following_s(one) >= SHORTEST_STRETCH_S),
         parts,
     )
     if not found.enough:
         raise InputError(
-            f"{tracks.about.source}: nobody follows a known vehicle for {LEAST_FOLLOWING_S:g} s; `sugiyama info` says"
+            f"{tracks.about.source}: nobody follows a known vehicle for {SHORTEST_STRETCH_S:g} s; `sugiyama info` says"
             " which leaders are known"
         )
     return found

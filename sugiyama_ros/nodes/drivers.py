@@ -20,7 +20,7 @@ from sugiyama_ros.driver.parameters import NAMES, V_STAR
 from sugiyama_ros.effects.registry import ROW, active, switched_on
 from sugiyama_ros.errors import InputError, SugiyamaError
 from sugiyama_ros.filters.online import Estimate, OnlineFilter, warm_up
-from sugiyama_ros.fit.classes import DriverTypes
+from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.formats.truth import namespace
 from sugiyama_ros.laws.registry import name_of

@@ -13,9 +13,11 @@ from sugiyama_ros.trajectories.leaders import RowIndex, ticks
 from sugiyama_ros.trajectories.time_base import LONGEST_HOLE_S, on_time_base, period_of, pieces
 from sugiyama_ros.trajectories.tracks import FREE, UNKNOWN, Tracks
 
-# Shortest stretch [s]; leaders and lanes that last for less than `_FLICKER_S` [s] are ignored; samples within
-# `_AROUND_CHANGE_S` [s] of a driver's own lane change are not scored.
-_SHORTEST_STRETCH_S, _FLICKER_S, _AROUND_CHANGE_S = 5.0, 1.0, 2.0
+#: Shortest stretch [s]: a few times as long as the acceleration noise lasts.
+SHORTEST_STRETCH_S = 5.0
+# Leaders and lanes that last for less than `_FLICKER_S` [s] are ignored; samples within `_AROUND_CHANGE_S` [s] of a
+# driver's own lane change are not scored.
+_FLICKER_S, _AROUND_CHANGE_S = 1.0, 2.0
 # Part of a stretch in which the leader's leader must be known, for the rest to be left out.
 _MOST = 0.8
 
@@ -52,7 +54,7 @@ class Stretch:
         return self.period_s * (len(self.position_m) - 1)
 
 
-def stretches(tracks: Tracks, shortest_s: float = _SHORTEST_STRETCH_S) -> Iterator[Stretch]:
+def stretches(tracks: Tracks, shortest_s: float = SHORTEST_STRETCH_S) -> Iterator[Stretch]:
     """Cut tracks into stretches.
 
     A hole of more than 0.5 s ends a stretch, and so do another road and a leader who is unknown for a second or more:

@@ -141,7 +141,7 @@ CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
     "calibrate": [
         ("--output old.yaml", "no --overwrite"),
         ("ring.csv", "no --ring", "--formulation paper"),
-        ("--formulation paper", "--effects"),
+        *(("--formulation paper", name) for name in ("--effects", "--classes")),
         *(("--law", name) for name in ("--formulation paper", "--parameters", "--profile", "--classes")),
         *(("--effects", name) for name in ("--profile", "--classes")),
         *(("--classes", name) for name in ("--regularise", "--profile")),

@@ -174,25 +174,35 @@ def test_the_papers_likelihood_is_searched_from_several_starts():
 
 
 def test_drivers_of_two_kinds_are_divided_into_two_classes(tmp_path):
-    """22 drivers for 60 s. This is too short to determine the desired speed of each driver."""
+    """22 drivers for 30 s. This is too short to determine the desired speed of each driver."""
     kind = np.arange(22) % 2
     rows = defaults(22)
     rows[:, V_STAR], rows[:, SIGMA_A] = np.where(kind, 8.5, 11.5), np.where(kind, 0.44, 0.22)
     length, road = np.full(22, 4.33), Road(400.0)
-    short = simulate(Simulator(rows, length, evenly(length, road), road, np.random.default_rng(3)), 60.0).dense
-    one, two, again = (calibrate_drivers(tracks_of(short), Settings("paper", classes=k)) for k in (1, 2, 2))
-    assert two.classes.bic < one.classes.bic
+    short = simulate(Simulator(rows, length, evenly(length, road), road, np.random.default_rng(3)), 30.0).dense
+    asked = Settings(classes=2)
+    two, again = (calibrate_drivers(tracks_of(short), asked) for _ in range(2))
     assert np.array_equal(two.rows, again.rows)
     assert two.classes.probability.sum(axis=1) == pytest.approx(np.ones(22))
     label = two.classes.probability.argmax(axis=1)
     assert np.array_equal(label == label[0], kind == kind[0])
     assert two.classes.share == pytest.approx([0.5, 0.5], abs=0.01)
+    for k in (0, 1):
+        row = rows[np.argmax(label == k)]
+        for place in (V_STAR, SIGMA_A):
+            low, high = two.classes.interval[k, place]
+            middle, half = 0.5 * (low + high), 0.5 * (high - low)
+            assert abs(row[place] - middle) < 2.0 * half  # four standard errors
     two.write(tmp_path / "types.yaml")
-    types = read_model(tmp_path / "types.yaml").types
-    assert np.array_equal(types.rows, two.classes.rows)
-    assert types.share == pytest.approx(two.classes.share)
+    model = read_model(tmp_path / "types.yaml")
+    assert np.array_equal(model.types.rows, two.classes.rows[:, : len(NAMES)])
+    assert model.types.share == pytest.approx(two.classes.share)
+    # what a driver is expected to be who is not in the file
+    median, log_std = model.population.parameters["v_star"]
+    assert median == pytest.approx(np.sqrt(8.5 * 11.5), rel=0.05)
+    assert log_std == pytest.approx(0.5 * np.log(11.5 / 8.5), abs=0.05)
     alone = np.array([f.parameters[V_STAR] for f in calibrate(short, "paper")])
     off, off_alone = (np.abs(np.log(v / rows[:, V_STAR])).mean() for v in (two.rows[:, V_STAR], alone))
     assert off < 0.5 * off_alone
     with pytest.raises(InputError, match="22 drivers, 30 classes; give --classes 22 at most"):
-        calibrate_drivers(tracks_of(short), Settings("paper", classes=30))
+        calibrate_drivers(tracks_of(short), Settings(classes=30))

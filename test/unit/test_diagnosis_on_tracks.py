@@ -14,10 +14,11 @@ from sugiyama_ros.diagnosis.table import errors
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model import Model, evaluate
-from sugiyama_ros.fit.preparation import LEAST_FOLLOWING_S, prepare, prepare_stretches
+from sugiyama_ros.fit.preparation import prepare, prepare_stretches
 from sugiyama_ros.fit.recording import FOLDS
 from sugiyama_ros.trajectories.assemble import assemble
 from sugiyama_ros.trajectories.dense import whole_road
+from sugiyama_ros.trajectories.stretches import SHORTEST_STRETCH_S
 
 INDIVIDUAL = (V_STAR, KAPPA_V)
 PERIOD_S = 0.5
@@ -113,6 +114,6 @@ def test_the_commands_work_on_two_lanes(two_lanes, tmp_path, capsys):
 
 def test_drivers_need_to_follow_for_long_enough(ring):
     tracks = ring.measured
-    short = np.asarray(tracks.time_s) < tracks.time_s[0] + LEAST_FOLLOWING_S - 2.0
+    short = np.asarray(tracks.time_s) < tracks.time_s[0] + SHORTEST_STRETCH_S - 1.0
     with pytest.raises(InputError, match="nobody follows"):
         prepare_stretches(tracks.select(short))
