@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from sugiyama_ros.filters.online import Learnt
 
 
+#: Smallest standard deviation of the logarithm of a parameter over a population.
+LEAST_STD = 0.05
+
+
 @dataclass(frozen=True, eq=False)
 class Classes:
     """K classes of N drivers, the largest class first.

@@ -20,6 +20,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.first_look import PER_MEDIAN
 from sugiyama_ros.fit.coordinates import ENOUGH_CAUSAL, Damping, coordinate, damped, damped_step
 from sugiyama_ros.fit.driver import calibrate
+from sugiyama_ros.fit.driver_types import LEAST_STD
 from sugiyama_ros.fit.model import Model, PointwiseDensity, evaluate, moved
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.slopes import Slopes, informed_steps, slopes, slopes_of, sums
@@ -206,8 +207,8 @@ def _mixed(here: JointFit, there: JointFit, better: Mask) -> JointFit:
     return JointFit(replace(here.model, rows=rows), samples, tuple(slopes_))
 
 
-#: Largest prior std of a parameter's coordinate (a logarithm for most), also before the spread is known; smallest.
-LARGEST_STD, _LEAST_STD = 1.0, 0.05
+#: Largest prior std of a parameter's coordinate (a logarithm for most), also before the spread is known.
+LARGEST_STD = 1.0
 # A driver further than this from the median driver, in prior stds, is fitted again.
 _FAR_AWAY = 3.5
 
@@ -308,5 +309,5 @@ def _as_population(model: Model) -> Model:
     spread = PER_MEDIAN * np.median(np.abs(own - np.median(own, axis=0)), axis=0)
     # a small number of drivers determines the spread poorly
     known = len(own) / (len(own) + 3.0)
-    std = np.clip(known * spread + (1.0 - known) * 0.3, _LEAST_STD, LARGEST_STD)
+    std = np.clip(known * spread + (1.0 - known) * 0.3, LEAST_STD, LARGEST_STD)
     return replace(model, prior_std=tuple(std.tolist()), ahead=model.rows)

@@ -13,7 +13,7 @@ import numpy as np
 import yaml
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.driver.parameters import COUNT, NAMES, check_for_filter, population
+from sugiyama_ros.driver.parameters import COUNT, NAMES, check_for_filter, index, population
 from sugiyama_ros.effects.registry import EFFECTS, GROUP, ROW, active, effect, index_of, switch_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.files import Target, number, read_yaml, writing
@@ -52,10 +52,14 @@ class ModelFile:
         return self.effects if have_starts and (self.rows[:, ROW.law] == number_of(PAPERS)).all() else ()
 
     def rows_of(self, vehicles: Ints) -> Array:
-        """Return the rows (N, WIDTH) of some vehicles; the row of the median driver for a vehicle that is not in the
-        file.
+        """Return the rows (N, WIDTH) of some vehicles; of one that is not in the file, the population's median driver.
+
+        If the file knows no population, this is the median of the file's drivers.
         """
         typical = np.median(self.rows, axis=0)
+        if self.population is not None:
+            for name, (median, _) in self.population.parameters.items():
+                typical[index(name)] = median
         known = {int(v): k for k, v in enumerate(self.vehicle)}
         return np.array([self.rows[known[int(v)]] if int(v) in known else typical for v in vehicles])
 

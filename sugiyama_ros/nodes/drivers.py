@@ -103,9 +103,8 @@ class DriversNode(LifecycleNodeMixin, PacedNode):
         self._resume = self.path("resume", "directory with what an earlier run has learnt, to go on from")
         asks = self.option("ask_keeper", False, "whether to go on from what the keeper has last heard of vehicles")
         self._asked = set(self._only if asks else ())
-        self._online = declare_adapt(
-            self, self._model.rows_of(np.array(self._only)) if self._only else self._model.rows
-        )
+        rows = self._model.rows_of(np.array(self._only)) if self._only else self._model.rows
+        self._online = declare_adapt(self, rows, self._model.population)
         declare_driver(self, self._usual)
         check_driver(self)
         window = "time [s] by which a sample may be late and still be sorted in; later ones are dropped"

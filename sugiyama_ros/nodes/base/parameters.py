@@ -14,6 +14,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN, Adaptation
 from sugiyama_ros.filters.effect_filter import OF_LAW, STRENGTHS, EffectFilter, check_names
 from sugiyama_ros.filters.online import ADAPT, OnlineFilter
+from sugiyama_ros.fit.driver_types import LEAST_STD, Population
 from sugiyama_ros.fit.model_file import ModelFile, drivers_of
 from sugiyama_ros.laws.registry import ADAPTIVE_SEEK, PAPERS
 from sugiyama_ros.nodes.base.node import PacedNode
@@ -86,10 +87,11 @@ class OnlineSettings:
         return OnlineFilter(period_s, road, row, adaptation=self.adaptation, vehicles=vehicles, engine=self.engine)
 
 
-def declare_adapt(node: PacedNode, rows: Array) -> OnlineSettings:
+def declare_adapt(node: PacedNode, rows: Array, drawn: Population | None) -> OnlineSettings:
     """Declare the parameters ``adapt`` and ``engine``: what is learnt online, and how. Raises InputError.
 
-    rows: (N, WIDTH) of the drivers; of drivers of another law than the paper's, the law's parameters are learnt.
+    rows: (N, WIDTH) of the drivers; of drivers of another law than the paper's, the law's parameters are learnt; drawn:
+    of which population the drivers are draws, if the model knows it.
     """
     usual = list(ADAPT.names) if (rows[:, ROW.law] == ADAPTIVE_SEEK).all() else [OF_LAW]
     given = node.option(
@@ -101,6 +103,8 @@ def declare_adapt(node: PacedNode, rows: Array) -> OnlineSettings:
     names = tuple(dict.fromkeys(name for name in given if name))
     own = tuple(name for name in names if name not in (STRENGTHS, OF_LAW) and "." not in name)
     known = dict(zip(ADAPT.names, ADAPT.prior_std, strict=True))
+    if drawn is not None:
+        known |= {name: max(std, LEAST_STD) for name, (_, std) in drawn.parameters.items()}
     stds = tuple(known.get(name, _OTHER_STD) for name in own)
     of_effects = tuple(name for name in names if name not in own)
     check_names(of_effects)
