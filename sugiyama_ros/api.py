@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sugiyama_ros.calibration.calibrate import calibrate_drivers
-from sugiyama_ros.calibration.result import Calibration, Settings
+from sugiyama_ros.calibration.result import Calibration, Settings, number_of_classes
 from sugiyama_ros.diagnosis import compare as comparison
 from sugiyama_ros.diagnosis import diagnose as diagnosis
 from sugiyama_ros.diagnosis.candidates import check_names
@@ -21,6 +21,7 @@ from sugiyama_ros.driver.parameters import defaults
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.driver import Formulation
+from sugiyama_ros.fit.goals import goal_from
 from sugiyama_ros.fit.model_file import drive_by, drivers_of, read_model
 from sugiyama_ros.formats.choices import Choices, choices_of, read_choices, reference_of
 from sugiyama_ros.formats.registry import read_tracks
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
 #: Largest number of steps of a diagnosis that add something, unless somebody asks for more.
 FEW_STEPS = 3
 #: Further settings of `calibrate`, and their defaults.
-_CALIBRATE: dict[str, Any] = {"classes": 0, "seed": 0, "law": PAPERS, "scheduler": None}
+_CALIBRATE: dict[str, Any] = {"classes": 0, "goals": {}, "seed": 0, "law": PAPERS, "scheduler": None}
 
 
 def read(
@@ -196,7 +197,8 @@ def calibrate(
         Whether the intervals come from the profile likelihood, which takes longer.
     **settings
         classes: number of classes of drivers who share all parameters, 0 for parameters of each driver, "auto" for the
-        number that predicts held-out drivers best, "vehicle" for the classes of the vehicles; law: name of the law by
+        number that predicts held-out drivers best, "vehicle" for the classes of the vehicles; goals: what drivers may intend besides driving through, such as
+        ``{"exit": {"place": 500.0, "speed": 8.0}}``; law: name of the law by
         which the drivers drive, all of whose parameters are estimated; seed: seed of all random numbers; scheduler:
         address of a Dask scheduler whose workers do the work.
 
@@ -220,7 +222,13 @@ def calibrate(
     """
     _check_names("calibrate", settings, _CALIBRATE)
     said = {**_CALIBRATE, **settings}
-    of_search = (said["seed"], said["law"], tuple(effects), said["classes"])
+    of_search = (
+        said["seed"],
+        said["law"],
+        tuple(effects),
+        number_of_classes(said["classes"]),
+        tuple(goal_from(n, v) for n, v in said["goals"].items()),
+    )
     asked = Settings(formulation, tuple(parameters), regularise, profile, *of_search)
     asked.check()
     with stages() as on:

@@ -51,7 +51,7 @@ def calibrate_drivers(
     """
     road = one_road(tracks, where) if settings.formulation == "paper" else whole_road(tracks)
     with workers(tracks.runs, scheduler) as work:
-        if settings.classes:
+        if settings.classes or settings.goals:
             return _named(_in_classes(tracks, road, settings, work, on_progress), tracks)
         if settings.is_pooled(on_tracks=road is None):
             return _named(_pooled(tracks, road, settings, work), tracks)
@@ -109,6 +109,7 @@ def _in_classes(
     """Calibrate classes of drivers. The drivers of a class share all parameters, and a recording has its own noises."""
     # Imported here: drivers who are calibrated alone need no classes, which load slowly.
     from sugiyama_ros.fit.classes import find_classes
+    from sugiyama_ros.fit.goals import goals_of
     from sugiyama_ros.fit.held_out_drivers import chosen, predict_held_out
     from sugiyama_ros.fit.model import Model, evaluate
 
@@ -118,7 +119,8 @@ def _in_classes(
     settings.check_classes(data.drivers, tracks.about.source)
     known: list[str] = []
     held_out: tuple[Predictions, ...] = ()
-    count = settings.classes if isinstance(settings.classes, int) else 1
+    count = max(settings.classes, 1) if isinstance(settings.classes, int) else 1
+    goals = goals_of(settings.goals, _entries(tracks, data)) if settings.goals else None
     if settings.classes == VEHICLE:
         known = [one.vehicle_class for one in data.vicinity.names]
         if len(set(known)) < 2:
@@ -127,10 +129,18 @@ def _in_classes(
         most = min(MOST_CLASSES, data.drivers // FOLDS)
         held_out = tuple(predict_held_out(data, places, most, work, settings.seed, on_progress))
         count = chosen(held_out)
-    classes = find_classes(data, count, places, work, seed=settings.seed, known=known)
+    classes = find_classes(data, count, places, work, seed=settings.seed, known=known, goals=goals)
     model = Model(classes.own_rows, places, (), (1.0,) * len(places), classes.own_rows)
     drivers = _drivers(road) if road is not None else _followers(data, evaluate(data, model, work))
     return of_classes(settings, drivers, classes, tracks.about, road, held_out)
+
+
+def _entries(tracks: Tracks, data: "Recorded") -> list[str]:
+    """The lane on which each driver comes in; empty where the tracks do not say."""
+    if tracks.lane is None:
+        return [""] * data.drivers
+    first = dict(zip(numbers_of(tracks).tolist(), tracks.start[:-1].tolist(), strict=True))
+    return [tracks.lane.at(first[one.number]) for one in data.vicinity.names]
 
 
 def _prepared(tracks: Tracks, road: DenseTracks | None, settings: Settings) -> tuple["Recorded", tuple[str, ...]]:

@@ -16,6 +16,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.files import Target
 from sugiyama_ros.fit.driver import SIGMAS, Fit, Formulation, is_determined
 from sugiyama_ros.fit.driver_types import Classes, DriverTypes, Population, Predictions
+from sugiyama_ros.fit.goals import Goal, KnownGoals
 from sugiyama_ros.fit.smooth_positions import ESTIMATED
 from sugiyama_ros.laws.registry import PAPERS, law
 from sugiyama_ros.results import BLUE, Result, TextTable, plain
@@ -40,7 +41,7 @@ class Settings:
     from one population, paper: with the paper's penalty; None: causal and on tracks only; profiled: whether intervals
     come from the profile likelihood; effects: names of effects that are fitted, too; classes: number of classes of
     drivers who share all parameters, 0 for none; ``AUTO`` for the number that predicts held-out drivers best;
-    ``VEHICLE`` for the classes of the vehicles.
+    ``VEHICLE`` for the classes of the vehicles; goals: what drivers may intend besides driving through.
     """
 
     formulation: Formulation = "causal"
@@ -51,6 +52,7 @@ class Settings:
     law: str = PAPERS
     effects: tuple[str, ...] = ()
     classes: int | str = 0
+    goals: tuple[Goal, ...] = ()
 
     def is_pooled(self, on_tracks: bool) -> bool:
         """Whether all drivers are calibrated together, as draws from one population."""
@@ -76,6 +78,7 @@ class Settings:
             ("effects", bool(self.effects)),
             ("law", self.law != PAPERS),
             ("classes", bool(self.classes)),
+            ("goal", bool(self.goals)),
         ):
             if is_given and is_paper:
                 raise InputError(f"{option(name)}: the paper's formulation knows none; use the causal formulation")
@@ -86,9 +89,9 @@ class Settings:
         others = f"{effects}, {option('law')}, {regularise}"
         if self.is_pooled(on_tracks=False) and self.profiled:
             raise InputError(f"{profile}: is for drivers calibrated one by one; leave out {others}")
-        if self.classes and (self.is_pooled(on_tracks=False) or self.profiled):
+        if (self.classes or self.goals) and (self.is_pooled(on_tracks=False) or self.profiled):
             raise InputError(
-                f"{option('classes')}: the drivers of a class share all parameters; leave out {others}, {profile}"
+                f"{option('classes' if self.classes else 'goal')}: the drivers of a class share all parameters; leave out {others}, {profile}"
             )
 
 
@@ -212,7 +215,14 @@ class Calibration(Result):
         origin = [d.number for d in self.drivers], self.about.source, self.about.sha256
         found = FittedDrivers(*origin, self.rows, self.std, self.shared_std or {}, float(self.log_likelihood.sum()))
         types = None if self.classes is None else DriverTypes(self.classes.share, self.classes.rows[:, :COUNT])
-        write_drivers(target, found, types, self.population)
+        write_drivers(target, found, types, self.population, self._goals())
+
+    def _goals(self) -> KnownGoals | None:
+        """The goals, with the shares of the drivers who have them."""
+        if self.classes is None or not self.settings.goals:
+            return None
+        share = dict(zip(self.classes.goals, self.classes.goal_probability.mean(axis=0).tolist(), strict=True))
+        return KnownGoals(self.settings.goals, {one.name: share[one.name] for one in self.settings.goals})
 
     def headline(self) -> str:
         """Say how many drivers were calibrated, and for how many of them each parameter is identified."""
@@ -292,6 +302,14 @@ class Calibration(Result):
             document["classes"] = _classes_of(self.classes, self.settings.estimated)
             for driver, probability in zip(drivers, self.classes.probability.tolist(), strict=True):
                 driver["class_probability"] = probability
+            if self.settings.goals:
+                names, shares = self.classes.goals, self.classes.goal_share.tolist()
+                document["goals"] = {
+                    lane: dict(zip(names, share, strict=True))
+                    for lane, share in zip(self.classes.entries, shares, strict=True)
+                }
+                for driver, probability in zip(drivers, self.classes.goal_probability.tolist(), strict=True):
+                    driver["goal_probability"] = dict(zip(names, probability, strict=True))
         if self.population is not None:
             document["population"] = self.population.document()
         if self.held_out:
@@ -342,6 +360,10 @@ class Calibration(Result):
         for number, one in enumerate(_classes_of(self.classes, names)):
             values = ", ".join(f"{n} {one[n]:.3f} ({_ends(*one['interval'][n])})" for n in names)
             lines.append(f"class {one.get('name', number)}: {one['share']:.0%} of the drivers, {values}")
+        for lane, shares in zip(self.classes.entries, self.classes.goal_share.tolist(), strict=True):
+            if self.settings.goals:
+                who = ", ".join(f"{name} {one:.0%}" for name, one in zip(self.classes.goals, shares, strict=True))
+                lines.append(f"goals{f' of lane {lane}' if lane else ''}: {who}")
         for model in self.held_out[1:]:
             found, said = model.document(self.held_out[0]), []
             if math.isfinite(found["whole"]):

@@ -70,6 +70,13 @@ class _CalibrateOptions:
             " drivers best; vehicle for the classes of the vehicles; 0 for none."
         ),
     ] = "0"
+    goal: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="NAME:place=PLACE[,speed=SPEED][,deceleration=B][,lane=LANE]: what some drivers may intend, such as an"
+            " exit, or with speed 0 the end of the lane; SI units. May be repeated."
+        ),
+    ] = None
     seed: Seed = 0
     scheduler: Scheduler = None
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Model file (YAML) to write.")] = None
@@ -81,6 +88,7 @@ class _CalibrateOptions:
     def settings(self) -> "Settings":
         """What the library is asked for. Raises InputError for options that contradict each other."""
         from sugiyama_ros.calibration.result import Settings, number_of_classes
+        from sugiyama_ros.fit.goals import read_goal
 
         settings = Settings(
             formulation=self.formulation,  # type: ignore[arg-type]
@@ -91,6 +99,7 @@ class _CalibrateOptions:
             law=self.law,
             effects=names(self.effects),
             classes=number_of_classes(self.classes, "--{}".format),
+            goals=tuple(read_goal(text, "--goal") for text in self.goal or ()),
         )
         settings.check("--{}".format)
         return settings

@@ -96,6 +96,7 @@ EFFECTS: Mapping[str, Effect] = {
             "gap_offset",
             "perception_threshold",
             "slow_patch",
+            "goal_ahead",
             "preference_switch",
             "preference_drift",
             "harshness",

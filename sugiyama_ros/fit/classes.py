@@ -1,13 +1,16 @@
 """Classes of drivers who share their parameters, for recordings that are too short to fit each driver alone.
 
-The classes are a mixture model (latent classes). The log-likelihood of a driver is ln sum_c pi_c exp L(theta_c): each
-class c has a share pi_c and parameters theta_c, and the noises of the measurement belong to the recording. The search
-is Newton's method, whose information is the one about the complete data, less the one that is missing because nobody
-sees the class of a driver. It is damped towards the EM algorithm, which has the complete information alone.
+The classes are a mixture model (latent classes). The log-likelihood of a driver is ln sum_c sum_g pi_c p(g | entry) exp
+L(theta_c, g): each class c has a share pi_c and parameters theta_c, and the noises of the measurement belong to the
+recording. A goal g is what a driver intends: to drive through, or to slow down for an exit. It is an effect with known
+values, whose share depends on where the driver comes in. The search is Newton's method, whose information is the one
+about the complete data, less the one that is missing because nobody sees the class of a driver. It is damped towards
+the EM algorithm, which has the complete information alone.
 
 References
 ----------
-Dempster, Laird and Rubin, J. R. Stat. Soc. B 39 (1977) 1. Louis, J. R. Stat. Soc. B 44 (1982) 226.
+Dempster, Laird and Rubin, J. R. Stat. Soc. B 39 (1977) 1. Louis, J. R. Stat. Soc. B 44 (1982) 226. Sandwich estimate:
+Huber, Proc. Fifth Berkeley Symp. Math. Stat. Prob. 1 (1967) 221.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.cluster.vq import kmeans2
-from scipy.special import log_softmax, logsumexp, softmax
+from scipy.special import logsumexp, softmax
 
 from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.driver.parameters import SIGMA_NU, SIGMA_V, SIGMA_X
@@ -25,13 +28,16 @@ from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.coordinates import ENOUGH_CAUSAL, LONGEST, Damping, coordinate, limits, value
 from sugiyama_ros.fit.driver import SIGMAS, end_of_profile
 from sugiyama_ros.fit.driver_types import Classes
+from sugiyama_ros.fit.goals import Goals, goals_of
 from sugiyama_ros.fit.joint import LARGEST_STD, fit_base
-from sugiyama_ros.fit.model import Model, PointwiseDensity, evaluate, evaluate_each
+from sugiyama_ros.fit.model import Model, PointwiseDensity, evaluate_each
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.slopes import difference_steps, slopes_of
 
 # Noises of what measures, and of how it smooths: they belong to a recording, not to a driver.
 _OF_RECORDING = (SIGMA_NU, SIGMA_X, SIGMA_V)
+# Largest size of the logit of a share: a share is never 0 for good.
+_CERTAIN = 7.0
 # A driver who belongs to a class with less than this probability says nothing about it.
 _LEAST_PROBABILITY = 1e-3
 _DAMPING = Damping(least=1e-3, least_after_failure=0.1, most=1e4, start=0.1)
@@ -44,32 +50,39 @@ _SOME = 100
 
 
 class _Layout(NamedTuple):
-    """Where the K classes' parameters, the R recordings' noises and the logits of the shares stand in one vector (D,).
+    """Where everything stands in one vector (D,): parameters of classes, noises of recordings, logits of shares.
 
-    typical: (width,), row of a driver of whom nothing is known; own, noise: places in a row of the parameters of a
-    class, and of a recording; recording: (N,), number of the recording of each driver; may: (N, K), whether a driver
-    may belong to a class.
+    A component j is a class with a goal; there are J = K G of them. typical: (width,), row of a driver of whom nothing
+    is known; own, noise: places in a row of the parameters of a class, and of a recording; recording: (N,), number of
+    the recording of each driver; may: (N, J), whether a driver may belong to a component.
     """
 
     typical: Array
     own: tuple[int, ...]
     noise: tuple[int, ...]
     recording: Ints
+    goals: Goals
     may: Mask
 
     @property
-    def classes(self) -> int:
+    def components(self) -> int:
         return self.may.shape[1]
+
+    @property
+    def classes(self) -> int:
+        return self.components // len(self.goals.names)
 
     @property
     def places(self) -> list[int]:
         return [*self.own, *self.noise]
 
     @property
-    def ends(self) -> tuple[int, int]:
-        """Ends of the classes' parameters and of the recordings' noises; the logits of all but one class follow."""
+    def ends(self) -> tuple[int, int, int, int]:
+        """Ends of the classes' parameters, the recordings' noises, and the logits of classes and of goals."""
         first = self.classes * len(self.own)
-        return first, first + (int(self.recording.max()) + 1) * len(self.noise)
+        second = first + (int(self.recording.max()) + 1) * len(self.noise)
+        third = second + self.classes - 1
+        return first, second, third, third + len(self.goals.entries) * (len(self.goals.names) - 1)
 
     def columns(self, k: int) -> Ints:
         """Entries (N, P) of the vector that are the parameters of each driver in class k."""
@@ -77,18 +90,44 @@ class _Layout(NamedTuple):
         noise = self.ends[0] + self.recording[:, None] * len(self.noise) + np.arange(len(self.noise))
         return np.concatenate([np.tile(own, (len(self.recording), 1)), noise], axis=1)
 
-    def rows(self, x: Array, k: int) -> Array:
-        """Rows (N, width) of the drivers if they belong to class k."""
+    def rows(self, x: Array, j: int) -> Array:
+        """Rows (N, width) of the drivers if they belong to component j."""
+        k, g = divmod(j, len(self.goals.names))
         rows = np.tile(self.typical, (len(self.recording), 1))
         rows[:, self.places] = value(x[self.columns(k)], self.places)
-        return rows
+        return np.where(self.goals.row[g] != 0.0, self.goals.row[g], rows)
 
-    def logits(self, x: Array) -> Array:
-        return np.concatenate([[0.0], x[self.ends[1] :]])
+    def shares(self, x: Array) -> tuple[Array, Array]:
+        """Shares (K,) of the classes, and (E, G) of the goals at each entry."""
+        _, second, third, _ = self.ends
+        goals = x[third:].reshape(len(self.goals.entries), -1)
+        return softmax(np.append(0.0, x[second:third])), softmax(np.pad(goals, ((0, 0), (1, 0))), axis=1)
+
+    def weights(self, x: Array) -> Array:
+        """Log-probabilities (N, J) of the components before anything is seen of a driver but the entry."""
+        share, of_goals = self.shares(x)
+        both = np.log(share)[:, None] + np.log(of_goals)[self.goals.entry][:, None, :]
+        return np.where(self.may, both.reshape(len(self.may), -1), -np.inf)
+
+    def slopes_of_weights(self, x: Array) -> tuple[Array, Array]:
+        """Derivatives (N, J, L) of the log-probabilities by the L logits, and their information (N, L, L)."""
+        share, of_goals = self.shares(x)
+        _, second, third, end = self.ends
+        goals, drivers = len(self.goals.names), len(self.may)
+        each = np.zeros((drivers, self.classes, goals, end - second))
+        each[..., : third - second] = (np.eye(self.classes) - share)[:, None, 1:]
+        by_goal = np.eye(goals)[None] - of_goals[self.goals.entry][:, None]
+        for e in range(len(self.goals.entries)):
+            first = third - second + e * (goals - 1)
+            here = self.goals.entry == e
+            each[here, :, :, first : first + goals - 1] = by_goal[here][:, None, :, 1:]
+        slopes = each.reshape(drivers, self.components, -1)
+        expected = share[:, None] * of_goals[self.goals.entry][:, None, :]
+        return slopes, np.einsum("nj,nja,njb->nab", expected.reshape(drivers, -1), slopes, slopes)
 
     def vector(self, centres: Array, noise: Array) -> Array:
-        """Vector of classes with equal shares; centres: (K, own), noise: (R, noise), coordinates."""
-        return np.concatenate([centres.ravel(), noise.ravel(), np.zeros(len(centres) - 1)])
+        """Vector of classes and goals with equal shares; centres: (K, own), noise: (R, noise), coordinates."""
+        return np.concatenate([centres.ravel(), noise.ravel(), np.zeros(self.ends[3] - self.ends[1])])
 
 
 class _Mixture(NamedTuple):
@@ -113,25 +152,32 @@ def find_classes(
     *,
     seed: int = 0,
     known: Sequence[str] = (),
+    goals: Goals | None = None,
 ) -> Classes:
     """Divide drivers into ``count`` classes; ``estimated``: places of the parameters in a row.
 
-    known: class of each driver, if the classes are known; there are as many classes as names.
+    known: class of each driver, if the classes are known; there are as many classes as names; goals: what the drivers
+    may intend, if it is not the same for all.
     """
-    search = search_of(data, count, estimated, work, known)
+    search = search_of(data, count, estimated, work, known, goals)
     at = search.maximise(search.start(fit_base(data, estimated, work).model.rows, seed))
     return search.result(at, sorted(set(known)))
 
 
 def search_of(
-    data: Recorded, count: int, estimated: Sequence[int], work: Executor, known: Sequence[str] = ()
+    data: Recorded,
+    count: int,
+    estimated: Sequence[int],
+    work: Executor,
+    known: Sequence[str] = (),
+    goals: Goals | None = None,
 ) -> "Search":
     """Return the search for classes; arguments as for ``find_classes``."""
     if known:
         may = np.array([[name == own for name in sorted(set(known))] for own in known])
     else:
         may = np.ones((data.drivers, count), np.bool_)
-    return Search(data, _layout(data, estimated, may), work)
+    return Search(data, _layout(data, estimated, may, goals), work)
 
 
 def predicted_by(search: "Search", at: "_Mixture", data: Recorded, seen: Ints, out: Ints) -> Array:
@@ -146,14 +192,17 @@ def predicted_by(search: "Search", at: "_Mixture", data: Recorded, seen: Ints, o
     return Search(data, layout, search.work, out.tolist()).at(at.x, ahead).log_likelihood
 
 
-def _layout(data: Recorded, estimated: Sequence[int], may: Mask) -> _Layout:
+def _layout(data: Recorded, estimated: Sequence[int], may: Mask, goals: Goals | None = None) -> _Layout:
+    """The layout of classes (N, K) to which drivers may belong, with their goals."""
+    goals = goals_of((), [""] * data.drivers) if goals is None else goals
     names = [one.recording for one in data.vicinity.names]
     return _Layout(
         typical=ROW.with_effects(data.even.typical(data.speed)),
         own=tuple(k for k in estimated if k not in _OF_RECORDING),
         noise=tuple(k for k in estimated if k in _OF_RECORDING),
         recording=np.unique(names, return_inverse=True)[1],
-        may=may,
+        goals=goals,
+        may=(may[:, :, None] & goals.may[:, None, :]).reshape(data.drivers, -1),
     )
 
 
@@ -164,7 +213,7 @@ class Search:
         self.data, self.layout, self.work = data, layout, work
         self.who = np.arange(data.drivers) if who is None else np.asarray(who)
         low, high = np.sort(coordinate(limits(layout.places, data.lower, data.upper), layout.places), axis=0)
-        self.low, self.high = np.full((2, layout.ends[1] + layout.classes - 1), [[-np.inf], [np.inf]])
+        self.low, self.high = np.full((2, layout.ends[3]), [[-_CERTAIN], [_CERTAIN]])
         for k in range(layout.classes):
             columns = layout.columns(k)
             self.low[columns], self.high[columns] = low, high
@@ -172,34 +221,33 @@ class Search:
     def at(self, x: Array, ahead: Ints) -> _Mixture:
         """The point at a vector; ``ahead``: as in a point."""
         layout, own = self.layout, tuple(self.layout.places)
-        each = [layout.rows(x, k) for k in range(layout.classes)]
+        each = [layout.rows(x, j) for j in range(layout.components)]
         leaders = np.array(each)[ahead, np.arange(self.data.drivers)]
         models = [Model(rows, own, (), (LARGEST_STD,) * len(own), leaders) for rows in each]
         samples = evaluate_each(self.data, models, self.work, self.who.tolist())
         density = np.array([np.nansum(one.log_likelihood[self.who], axis=1) for one in samples]).T
-        joint = np.where(layout.may[self.who], density + log_softmax(layout.logits(x)), -np.inf)
+        joint = density + layout.weights(x)[self.who]
         total = logsumexp(joint, axis=1)
         return _Mixture(x, ahead, models, samples, total, np.exp(joint - total[:, None]))
 
     def derivatives(self, at: _Mixture) -> tuple[Array, Array, Array]:
-        """Gradient (D,), complete information (D, D), and the information that is missing."""
+        """Gradient (N, D) of each driver, complete information (D, D), and the information that is missing."""
         layout, drivers, size = self.layout, len(self.who), len(at.x)
-        each, complete = np.zeros((drivers, layout.classes, size)), np.zeros((size, size))
+        each, complete = np.zeros((drivers, layout.components, size)), np.zeros((size, size))
         steps = np.tile(difference_steps(self.data, layout.places), (self.data.drivers, 1))
-        for k, (model, samples) in enumerate(zip(at.models, at.samples, strict=True)):
-            near = np.flatnonzero(at.probability[:, k] > _LEAST_PROBABILITY)
-            who, columns = self.who[near], layout.columns(k)[self.who[near]]
+        for j, (model, samples) in enumerate(zip(at.models, at.samples, strict=True)):
+            near = np.flatnonzero(at.probability[:, j] > _LEAST_PROBABILITY)
+            who, columns = self.who[near], layout.columns(j // len(layout.goals.names))[self.who[near]]
             found = slopes_of(self.data, model, samples, steps, self.work, who.tolist())
             for i, cols, s in zip(near, columns, found, strict=True):
-                each[i, k, cols] = s.score.sum(axis=0)
-                complete[np.ix_(cols, cols)] += at.probability[i, k] * s.information.sum(axis=0)
-        share = softmax(layout.logits(at.x))
-        each[:, :, layout.ends[1] :] = (np.eye(layout.classes) - share)[:, 1:]
-        logits = slice(layout.ends[1], None)
-        complete[logits, logits] = drivers * (np.diag(share) - np.outer(share, share))[1:, 1:]
+                each[i, j, cols] = s.score.sum(axis=0)
+                complete[np.ix_(cols, cols)] += at.probability[i, j] * s.information.sum(axis=0)
+        logits, (slopes, information) = slice(layout.ends[1], None), layout.slopes_of_weights(at.x)
+        each[:, :, logits] = slopes[self.who]
+        complete[logits, logits] = information[self.who].sum(axis=0)
         expected = np.einsum("nk,nkd->nd", at.probability, each)
         missing = np.einsum("nk,nka,nkb->ab", at.probability, each, each) - expected.T @ expected
-        return expected.sum(axis=0), complete, missing
+        return expected, complete, missing
 
     def maximise(self, here: _Mixture, enough: float = ENOUGH_CAUSAL) -> _Mixture:
         """Return the point at the maximum of the log-likelihood.
@@ -209,7 +257,7 @@ class Search:
         """
         damping, known, follows = _DAMPING.start, self.derivatives(here), True
         for _ in range(_STEPS):
-            gradient, complete, missing = known
+            gradient, complete, missing = known[0].sum(axis=0), *known[1:]
             step = _step(gradient, complete, missing, damping)
             x = np.clip(here.x + np.clip(step, -LONGEST, LONGEST), self.low, self.high)
             if 0.5 * gradient @ (x - here.x) < enough or damping > _DAMPING.most:
@@ -242,9 +290,11 @@ class Search:
                 for r in range(int(layout.recording.max()) + 1)
             ]
         )
-        if not layout.may.all():
-            label = layout.may.argmax(axis=1)
-            return self.at(layout.vector(np.array([points[who].mean(axis=0) for who in layout.may.T]), noise), label)
+        goals = len(layout.goals.names)
+        may: Mask = np.asarray(layout.may.reshape(len(layout.may), -1, goals).any(axis=2))
+        if not may.all():
+            centres = np.array([points[who].mean(axis=0) for who in may.T])
+            return self.at(layout.vector(centres, noise), goals * may.argmax(axis=1))
         # a driver who is far from all others must not be a class of their own
         near = np.clip((points - centre) / scale, -2.0, 2.0)
         some = Search(self.data, layout, self.work, range(0, self.data.drivers, -(-self.data.drivers // _SOME)))
@@ -253,18 +303,21 @@ class Search:
             rng = np.random.default_rng(seed + k)
             centres, label = kmeans2(near, layout.classes, minit="++", rng=rng, missing="warn")
             x = layout.vector(centre + centres * scale, noise)
-            tried.append(some.maximise(some.at(x, label.astype(np.int64)), _ROUGHLY))
+            tried.append(some.maximise(some.at(x, goals * label.astype(np.int64)), _ROUGHLY))
         best = max(tried, key=lambda point: float(point.log_likelihood.sum()))
         return self.at(best.x, best.ahead)
 
     def result(self, at: _Mixture, names: Sequence[str] = ()) -> Classes:
         """The classes at the maximum, the largest one first; ``names``: of the classes, if they are known."""
         layout = self.layout
-        _, complete, missing = self.derivatives(at)
+        each, complete, missing = self.derivatives(at)
         observed = complete - missing
-        errors = np.sqrt(np.maximum(np.diag(np.linalg.pinv(observed, hermitian=True)), 0.0))
-        share = softmax(layout.logits(at.x))
-        rows = np.array([model.rows[0] for model in at.models])
+        covariance = np.linalg.pinv(observed, hermitian=True)
+        # the sandwich estimate, if drivers pull in different directions by more than the information allows
+        scatter = np.square((each - each.mean(axis=0)) @ covariance).sum(axis=0) * len(each) / max(len(each) - 1, 1)
+        errors = np.sqrt(np.maximum(np.maximum(np.diag(covariance), scatter), 0.0))
+        (share, of_goals), goals = layout.shares(at.x), len(layout.goals.names)
+        rows = np.array([model.rows[0] for model in at.models[::goals]])
         interval = np.stack([rows, rows], axis=-1)
         for k in range(layout.classes):
             columns = layout.columns(k)[0]
@@ -277,14 +330,19 @@ class Search:
         likeliest = at.probability.argmax(axis=1)
         own_rows = np.array([at.models[k].rows[i] for i, k in zip(self.who, likeliest, strict=True)])
         order = np.argsort(-share)
+        probability = at.probability.reshape(len(self.who), layout.classes, goals)
         return Classes(
-            tuple(names[k] for k in order) if names else (),
-            rows[order],
-            np.sort(interval[order], axis=-1),
-            share[order],
-            at.probability[:, order],
-            own_rows,
-            at.log_likelihood,
+            names=tuple(names[k] for k in order) if names else (),
+            rows=rows[order],
+            interval=np.sort(interval[order], axis=-1),
+            share=share[order],
+            probability=probability.sum(axis=2)[:, order],
+            own_rows=own_rows,
+            log_likelihood=at.log_likelihood,
+            goals=layout.goals.names,
+            goal_probability=probability.sum(axis=1),
+            entries=layout.goals.entries,
+            goal_share=of_goals,
         )
 
 
@@ -292,14 +350,15 @@ class _ClassAlone:
     """One class of a mixture whose other parameters stay as they are: intervals from its profile likelihood."""
 
     def __init__(self, search: Search, at: _Mixture, k: int) -> None:
-        near = np.flatnonzero(at.probability[:, k] > _LEAST_PROBABILITY)
+        layout, goals = search.layout, len(search.layout.goals.names)
+        mine = slice(k * goals, (k + 1) * goals)
+        near = np.flatnonzero(at.probability[:, mine].sum(axis=1) > _LEAST_PROBABILITY)
         self.data, self.work, self.who = search.data, search.work, search.who[near]
-        self.places, self.model, self.known = search.layout.own, at.models[k], at.samples[k]
-        columns = search.layout.columns(k)[0, : len(self.places)]
+        self.places, self.models, columns = layout.own, at.models[mine], layout.columns(k)[0, : len(layout.own)]
         self.x, self.low, self.high = at.x[columns], search.low[columns], search.high[columns]
-        self.share = log_softmax(search.layout.logits(at.x))[k]
-        with np.errstate(divide="ignore"):
-            self.others = at.log_likelihood[near] + np.log1p(-np.minimum(at.probability[near, k], 1.0 - 1e-12))
+        self.weights = layout.weights(at.x)[self.who, mine]
+        others = np.delete(at.probability[near], range(layout.components)[mine], axis=1).sum(axis=1)
+        self.others = at.log_likelihood[near] + np.log(np.maximum(others, 1e-300))
         self.height = float(at.log_likelihood[near].sum())
         self.steps = np.tile(difference_steps(self.data, self.places), (self.data.drivers, 1))
 
@@ -328,17 +387,12 @@ class _ClassAlone:
         height, damping = -np.inf, _DAMPING.start
         there = x.copy()
         for _ in range(_STEPS):
-            model, samples, probability, risen = self._at(there)
+            models, samples, probability, risen = self._at(there)
             is_better = risen > height
             damping = float(_DAMPING.updated(damping, is_better, not is_better))
             if is_better:
                 x[:], height = there, risen
-                found = slopes_of(self.data, model, samples, self.steps, self.work, self.who.tolist())
-                score = np.array([s.score.sum(axis=0) for s in found])[:, free]
-                information = np.array([s.information.sum(axis=0) for s in found])[:, free][:, :, free]
-                gradient = probability @ score
-                complete = np.einsum("n,nab->ab", probability, information)
-                missing = np.einsum("n,na,nb->ab", probability * (1.0 - probability), score, score)
+                gradient, complete, missing = self._derivatives(models, samples, probability, free)
             step = np.clip(_step(gradient, complete, missing, damping), -LONGEST, LONGEST)
             there = x.copy()
             there[free] = np.clip(x[free] + step, self.low[free], self.high[free])
@@ -346,14 +400,33 @@ class _ClassAlone:
                 break
         return height
 
-    def _at(self, x: Array) -> tuple[Model, PointwiseDensity, Array, float]:
-        rows = self.model.rows.copy()
-        rows[:, self.places] = value(x, self.places)
-        model = replace(self.model, rows=rows, individual=self.places, prior_std=(LARGEST_STD,) * len(self.places))
-        samples = evaluate(self.data, model, self.work, self.who.tolist())
-        joint = self.share + np.nansum(samples.log_likelihood[self.who], axis=1)
-        total = np.logaddexp(self.others, joint)
-        return model, samples, np.exp(joint - total), float(total.sum())
+    def _derivatives(
+        self, models: Sequence[Model], samples: Sequence[PointwiseDensity], probability: Array, free: Mask
+    ) -> tuple[Array, Array, Array]:
+        """Gradient, complete and missing information by the free coordinates; probability: (n, G) of the components."""
+        count = int(free.sum())
+        score, complete = np.zeros((*probability.shape, count)), np.zeros((count, count))
+        for g, (model, predicted) in enumerate(zip(models, samples, strict=True)):
+            for i, s in enumerate(slopes_of(self.data, model, predicted, self.steps, self.work, self.who.tolist())):
+                score[i, g] = s.score.sum(axis=0)[free]
+                complete += probability[i, g] * s.information.sum(axis=0)[np.ix_(free, free)]
+        expected = np.einsum("ng,nga->na", probability, score)
+        both = np.einsum("ng,nga,ngb->ab", probability, score, score)
+        return expected.sum(axis=0), complete, both - expected.T @ expected
+
+    def _at(self, x: Array) -> tuple[list[Model], list[PointwiseDensity], Array, float]:
+        """Models and predictions of the class with each goal, probabilities (n, G), and the log-likelihood."""
+        models = []
+        for one in self.models:
+            rows = one.rows.copy()
+            rows[:, self.places] = value(x, self.places)
+            prior = (LARGEST_STD,) * len(self.places)
+            models.append(replace(one, rows=rows, individual=self.places, prior_std=prior))
+        samples = evaluate_each(self.data, models, self.work, self.who.tolist())
+        density = np.array([np.nansum(one.log_likelihood[self.who], axis=1) for one in samples]).T
+        joint = self.weights + density
+        total = logsumexp(np.column_stack([self.others, joint]), axis=1)
+        return models, samples, np.exp(joint - total[:, None]), float(total.sum())
 
 
 def _step(gradient: Array, complete: Array, missing: Array, damping: float) -> Array:

@@ -25,7 +25,9 @@ class Classes:
     names: of the classes, if they are known from the vehicles; rows: (K, width), row of each class, with the noises of
     the first recording; interval: (K, width, 2), ends of the 95 % intervals; share: (K,), share of the
     drivers in each class; probability: (N, K), probability that a driver belongs to a class; own_rows: (N, width), row
-    of each driver in the likeliest class; log_likelihood: (N,), log-likelihood of each driver under the mixture [nats].
+    of each driver in the likeliest class; log_likelihood: (N,), log-likelihood of each driver under the mixture [nats];
+    goals: what drivers may intend; goal_probability: (N, G), probability of each goal; entries: where drivers come in;
+    goal_share: (E, G), share of each goal among the drivers of an entry.
     """
 
     names: tuple[str, ...]
@@ -35,6 +37,10 @@ class Classes:
     probability: Array
     own_rows: Array
     log_likelihood: Array
+    goals: tuple[str, ...]
+    goal_probability: Array
+    entries: tuple[str, ...]
+    goal_share: Array
 
     def population(self, names: Sequence[str]) -> "Population":
         """Return the population with the mean and the spread of the classes; ``names``: of its parameters."""

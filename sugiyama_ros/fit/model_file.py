@@ -4,7 +4,7 @@ data.
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,6 +18,7 @@ from sugiyama_ros.effects.registry import EFFECTS, GROUP, ROW, active, effect, i
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.files import Target, number, read_yaml, writing
 from sugiyama_ros.fit.driver_types import DriverTypes, Population
+from sugiyama_ros.fit.goals import Goal, KnownGoals
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.standard_errors import own_stds, shared_stds
@@ -34,7 +35,7 @@ class ModelFile:
     """The contents of a model file: vehicles (N,), rows (N, WIDTH), active effects, and the origin of the data.
 
     types: classes of drivers, if they were divided; population: of which the drivers are draws, if that is known;
-    cautions: what somebody who uses the model must know, in words.
+    goals: what drivers may intend, if that is known; cautions: what somebody who uses the model must know, in words.
     """
 
     vehicle: Ints
@@ -44,6 +45,7 @@ class ModelFile:
     sha256: str
     types: DriverTypes | None = None
     population: Population | None = None
+    goals: KnownGoals | None = None
     cautions: tuple[str, ...] = ()
 
     def effects_to_fit(self) -> tuple[str, ...]:
@@ -114,6 +116,7 @@ def write_drivers(
     fitted: FittedDrivers,
     types: DriverTypes | None = None,
     population: Population | None = None,
+    goals: KnownGoals | None = None,
     cautions: Sequence[str] = (),
 ) -> None:
     """Write the parameters of drivers as a model file. Raises OutputError."""
@@ -131,6 +134,8 @@ def write_drivers(
         document["cautions"] = list(cautions)
     if population is not None:
         document["population"] = population.document()
+    if goals is not None:
+        document["goals"] = [{**asdict(one), "share": goals.share[one.name]} for one in goals.goals]
     if types is not None:
         document["classes"] = [
             {"share": float(share), "parameters": dict(zip(NAMES, row.tolist(), strict=True))}
@@ -214,6 +219,7 @@ def read_model(path: Path) -> ModelFile:
         rows.append(row)
     types = _types(path, document["classes"]) if "classes" in document else None
     drawn = _population(path, document["population"]) if "population" in document else None
+    intended = _goals(path, document["goals"]) if "goals" in document else None
     about_data = document.get("data")
     known = about_data if isinstance(about_data, dict) else {}
     stacked = np.array(rows)
@@ -229,6 +235,7 @@ def read_model(path: Path) -> ModelFile:
         sha256=checksum,
         types=types,
         population=drawn,
+        goals=intended,
         cautions=tuple(cautions),
     )
 
@@ -269,6 +276,23 @@ def _population(path: Path, given: Any) -> Population:
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{path}: population: {_wrong(error)}; give median and log_std of parameters") from None
     return Population(found)
+
+
+def _goals(path: Path, given: Any) -> KnownGoals:
+    """Return the goals in a model file. Raises InputError."""
+    goals, shares = [], {}
+    try:
+        for one in given:
+            values = {key: number(one[key], key) for key in ("place", "speed", "deceleration", "share")}
+            shares[str(one["name"])] = values.pop("share")
+            goals.append(Goal(str(one["name"]), **values, lane=str(one.get("lane", ""))))
+        if not goals or not all(share > 0.0 for share in shares.values()) or not sum(shares.values()) < 1.0:
+            raise ValueError("share")
+    except InputError as error:
+        raise InputError(f"{path}: goals: {error}") from None
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"{path}: goals: {_wrong(error)}; give name, place, speed, deceleration and share") from None
+    return KnownGoals(tuple(goals), shares)
 
 
 def _wrong(error: Exception) -> str:

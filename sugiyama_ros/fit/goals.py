@@ -1,0 +1,126 @@
+"""What drivers may intend: to drive through, or to slow down for an exit or the end of a lane that lies ahead.
+
+A goal that is not reached cannot be seen. So a goal is another driver: the same parameters, with the effect
+``goal_ahead`` at known values.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array, Ints, Mask
+from sugiyama_ros.effects.registry import ROW, effect, read_effect, switch_on
+from sugiyama_ros.errors import InputError
+
+#: The goal of everybody who slows down for nothing.
+THROUGH = "through"
+_EFFECT = "goal_ahead"
+# Comfortable deceleration [m/s^2] of the intelligent driver model, Treiber and Kesting, Traffic Flow Dynamics (2013).
+_COMFORTABLE = 1.5
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A place ahead for which some drivers slow down.
+
+    Parameters
+    ----------
+    name : str
+        Name, such as "exit".
+    place : float
+        Position [m] along the road.
+    speed : float
+        Speed [m/s] that the driver wants at the place; 0 where the lane ends.
+    deceleration : float
+        Comfortable deceleration [m/s^2] before the place.
+    lane : str
+        Lane on which drivers come in who may have the goal; empty for all lanes.
+    """
+
+    name: str
+    place: float
+    speed: float = 0.0
+    deceleration: float = _COMFORTABLE
+    lane: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.name.isidentifier() or self.name == THROUGH:
+            raise InputError(f"goal {self.name!r}: is no name; use letters, digits and underscores, not {THROUGH}")
+        if not self.deceleration > 0.0:
+            raise InputError(f"goal {self.name}: deceleration {self.deceleration:g}: give a number above 0")
+        _ = self.row  # checks the bounds
+
+    @property
+    def row(self) -> Array:
+        """Entries of a driver's row that the goal sets, shape (width,); 0 for all others."""
+        return np.asarray(switch_on(np.zeros((1, ROW.width)), _EFFECT, self.values)[0])
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Parameters of the effect, by name."""
+        return {"deceleration": self.deceleration, "place": self.place, "speed": self.speed}
+
+
+def read_goal(text: str, where: str) -> Goal:
+    """Read a goal from ``NAME:place=PLACE[,speed=SPEED][,deceleration=DECELERATION][,lane=LANE]``. Raises InputError."""
+    name, _, pairs = text.partition(":")
+    lanes = [pair.partition("=")[2] for pair in pairs.split(",") if pair.startswith("lane=")]
+    numbers = ",".join(pair for pair in pairs.split(",") if not pair.startswith("lane="))
+    return goal_from(name, {**read_effect(f"{name}:{numbers}", where)[1], "lane": lanes[0] if lanes else ""})
+
+
+def goal_from(name: str, values: Mapping[str, Any]) -> Goal:
+    """Make a goal of its values by name. Raises InputError."""
+    try:
+        return Goal(name, **values)
+    except TypeError:
+        known = ", ".join(p.name for p in effect(_EFFECT).parameters)
+        raise InputError(f"goal {name}: give place, and no others than {known} and lane") from None
+
+
+class Goals(NamedTuple):
+    """What N drivers may intend, the first of G goals with no effect.
+
+    names: of the goals; row: (G, width), entries of a row that a goal sets, 0 for the others; entry: (N,), number of
+    the lane on which each driver comes in; entries: names of these lanes; may: (N, G), whether a driver may have a goal.
+    """
+
+    names: tuple[str, ...]
+    row: Array
+    entry: Ints
+    entries: tuple[str, ...]
+    may: Mask
+
+
+def goals_of(goals: Sequence[Goal], lane: Sequence[str]) -> Goals:
+    """Return what drivers may intend who come in on these lanes. Raises InputError for a lane that nobody comes in on."""
+    entries, entry = np.unique(np.array(lane, dtype=str), return_inverse=True)
+    for one in goals:
+        if one.lane and one.lane not in entries:
+            raise InputError(f"goal {one.name}: nobody comes in on lane {one.lane}; the lanes are {', '.join(entries)}")
+    if len({one.name for one in goals}) < len(goals):
+        raise InputError("goals: give each goal a name of its own")
+    may = np.array([[True, *(one.lane in ("", here) for one in goals)] for here in lane])
+    row = np.array([np.zeros(ROW.width), *(one.row for one in goals)])
+    return Goals((THROUGH, *(one.name for one in goals)), row, entry, tuple(entries.tolist()), may)
+
+
+@dataclass(frozen=True)
+class KnownGoals:
+    """Goals with the share of the drivers who have each, by name; the others drive through."""
+
+    goals: tuple[Goal, ...]
+    share: Mapping[str, float]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all goals, driving through first."""
+        return (THROUGH, *(one.name for one in self.goals))
+
+    @property
+    def prior(self) -> Array:
+        """Share of the drivers who have each goal, shape (G,)."""
+        shares = [self.share[one.name] for one in self.goals]
+        return np.array([1.0 - sum(shares), *shares])
