@@ -197,8 +197,8 @@ def calibrate(
         Whether the intervals come from the profile likelihood, which takes longer.
     **settings
         classes: number of classes of drivers who share all parameters, 0 for parameters of each driver, "auto" for the
-        number that predicts held-out drivers best, "vehicle" for the classes of the vehicles; goals: what drivers may intend besides driving through, such as
-        ``{"exit": {"place": 500.0, "speed": 8.0}}``; law: name of the law by
+        number that predicts held-out drivers best, "vehicle" for the classes of the vehicles; goals: what drivers may
+        intend besides driving through, such as ``{"exit": {"place": 500.0, "speed": 8.0}}``; law: name of the law by
         which the drivers drive, all of whose parameters are estimated; seed: seed of all random numbers; scheduler:
         address of a Dask scheduler whose workers do the work.
 
@@ -222,13 +222,8 @@ def calibrate(
     """
     _check_names("calibrate", settings, _CALIBRATE)
     said = {**_CALIBRATE, **settings}
-    of_search = (
-        said["seed"],
-        said["law"],
-        tuple(effects),
-        number_of_classes(said["classes"]),
-        tuple(goal_from(n, v) for n, v in said["goals"].items()),
-    )
+    classes, goals = number_of_classes(said["classes"]), tuple(goal_from(n, v) for n, v in said["goals"].items())
+    of_search = (said["seed"], said["law"], tuple(effects), classes, goals)
     asked = Settings(formulation, tuple(parameters), regularise, profile, *of_search)
     asked.check()
     with stages() as on:

@@ -90,9 +90,8 @@ class Settings:
         if self.is_pooled(on_tracks=False) and self.profiled:
             raise InputError(f"{profile}: is for drivers calibrated one by one; leave out {others}")
         if (self.classes or self.goals) and (self.is_pooled(on_tracks=False) or self.profiled):
-            raise InputError(
-                f"{option('classes' if self.classes else 'goal')}: the drivers of a class share all parameters; leave out {others}, {profile}"
-            )
+            shared = option("classes" if self.classes else "goal")
+            raise InputError(f"{shared}: the drivers of a class share all parameters; leave out {others}, {profile}")
 
 
 def number_of_classes(given: object, option: Callable[[str], str] = str) -> int | str:

@@ -30,7 +30,7 @@ from sugiyama_ros.fit.joint import JointFit, maximise
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.model_file import write_model
 from sugiyama_ros.fit.preparation import prepare
-from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.simulated import resampled_fits, seeds
 from sugiyama_ros.fit.standard_errors import shared_stds
 from sugiyama_ros.laws.registry import PAPERS
@@ -465,7 +465,8 @@ def _concluded(bench: _Bench, rounds: list[Round], asked: tuple[str, ...], simul
     bench.on_progress("checking the final model", 0, 1)
     simulated = bench.simulated(final.fit)
     own = [
-        forecasts(one, surroundings(one, fitted.model, work), [fitted.model] * FOLDS, work) for one, fitted in simulated
+        forecasts(one, surroundings(one, fitted.model, work), without_folds(one, fitted, work), work)
+        for one, fitted in simulated
     ]
     rivals = laws(data, bench.around, final, work)
     found = [*checks(data, final, simulated, own, bench.seed, work), *_left(rounds, data, final, rivals)]

@@ -64,7 +64,7 @@ class Goal:
 
 
 def read_goal(text: str, where: str) -> Goal:
-    """Read a goal from ``NAME:place=PLACE[,speed=SPEED][,deceleration=DECELERATION][,lane=LANE]``. Raises InputError."""
+    """Read a goal from ``NAME:place=PLACE[,speed=SPEED][,deceleration=B][,lane=LANE]``. Raises InputError."""
     name, _, pairs = text.partition(":")
     lanes = [pair.partition("=")[2] for pair in pairs.split(",") if pair.startswith("lane=")]
     numbers = ",".join(pair for pair in pairs.split(",") if not pair.startswith("lane="))
@@ -84,7 +84,8 @@ class Goals(NamedTuple):
     """What N drivers may intend, the first of G goals with no effect.
 
     names: of the goals; row: (G, width), entries of a row that a goal sets, 0 for the others; entry: (N,), number of
-    the lane on which each driver comes in; entries: names of these lanes; may: (N, G), whether a driver may have a goal.
+    the lane on which each driver comes in; entries: names of these lanes; may: (N, G), whether a driver may have a
+    goal.
     """
 
     names: tuple[str, ...]
@@ -95,7 +96,7 @@ class Goals(NamedTuple):
 
 
 def goals_of(goals: Sequence[Goal], lane: Sequence[str]) -> Goals:
-    """Return what drivers may intend who come in on these lanes. Raises InputError for a lane that nobody comes in on."""
+    """Return what drivers may intend who come in on the lanes ``lane`` (N,). Raises InputError for another lane."""
     entries, entry = np.unique(np.array(lane, dtype=str), return_inverse=True)
     for one in goals:
         if one.lane and one.lane not in entries:

@@ -17,7 +17,6 @@ from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.driver.parameters import NAMES
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.filters.first_look import PER_MEDIAN
 from sugiyama_ros.fit.coordinates import ENOUGH_CAUSAL, Damping, coordinate, damped, damped_step
 from sugiyama_ros.fit.driver import calibrate
 from sugiyama_ros.fit.driver_types import LEAST_STD
@@ -211,6 +210,10 @@ def _mixed(here: JointFit, there: JointFit, better: Mask) -> JointFit:
 LARGEST_STD = 1.0
 # A driver further than this from the median driver, in prior stds, is fitted again.
 _FAR_AWAY = 3.5
+# The spread is known as if so many drivers with this spread of logarithms had been seen before.
+_AS_IF, _USUAL_STD = 3.0, 0.3
+# Number of steps towards the spread, at most, and change of the logarithm of a variance at which they end.
+_SPREADS, _SETTLED = 500, 1e-3
 
 
 def start_model(data: Recorded, individual: Sequence[int]) -> Model:
@@ -230,16 +233,17 @@ def fit_nearly(data: Recorded, individual: Sequence[int], work: Executor, start:
 def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: Model | None = None) -> JointFit:
     """Fit every driver alone, then all drivers as draws from one population.
 
-    The second fit uses the first fit's parameters for the drivers ahead. It is repeated, with its own parameters for
-    them, as long as the likelihood rises by it.
+    The second fit uses the first fit's parameters for the drivers ahead, and the spread of its drivers. A third fit
+    uses those of the second, because drivers who are fitted alone to a few samples say little of their errors. It is
+    repeated as long as the likelihood rises by it.
     """
     near = fit_nearly(data, individual, work, start)
-    return _settled(data, _as_one_population(data, near, work), work)
+    return _settled(data, _as_one_population(data, _as_one_population(data, near, work), work), work)
 
 
 def _as_one_population(data: Recorded, near: JointFit, work: Executor) -> JointFit:
     """Fit all drivers as draws from one population, with the parameters of a nearby fit for the drivers ahead."""
-    start = at_model(data, near, _as_population(near.model), work)
+    start = at_model(data, near, _as_population(near), work)
     return _second_chance(data, maximise(data, start, work, fresh=False), work)
 
 
@@ -249,7 +253,7 @@ def _settled(data: Recorded, found: JointFit, work: Executor) -> JointFit:
     Where it falls, the drivers ahead are better predicted by the parameters of the fit before, which is kept.
     """
     enough = max(0.1 * data.drivers, 2.0)  # nats, for each driver or for all of them
-    there = at_model(data, found, _as_population(found.model), work)
+    there = at_model(data, found, _as_population(found), work)
     if abs(there.log_likelihood - found.log_likelihood) < enough:
         return found
     for _ in range(5):
@@ -300,14 +304,34 @@ def _by_paper(data: Recorded, model: Model, work: Executor) -> Model | None:
         known = [one.parameters[k] for one in fits if one.identified(name)]
         if known:
             rows[:, k] = [one.parameters[k] if one.identified(name) else np.median(known) for one in fits]
-    return _as_population(replace(model, rows=rows))
+    return replace(model, rows=rows, ahead=rows)
 
 
-def _as_population(model: Model) -> Model:
-    """Return the model with the spread of its drivers as the prior, and with its own rows for the drivers ahead."""
+def _as_population(here: JointFit) -> Model:
+    """Return the model with the spread of its drivers as the prior, and with its own rows for the drivers ahead.
+
+    The likelihood of each driver counts as quadratic. The EM algorithm finds the spread that makes all of them most
+    probable (empirical Bayes): a driver's estimate differs from the median by the spread and by its own error, so the
+    estimates alone would differ by too much, or once they are drawn to the median, by too little. A driver who is far
+    from all others counts as not so far.
+    """
+    model, count = here.model, len(here.model.individual)
     own = coordinate(model.rows[:, list(model.individual)], model.individual)
-    spread = PER_MEDIAN * np.median(np.abs(own - np.median(own, axis=0)), axis=0)
-    # a small number of drivers determines the spread poorly
-    known = len(own) / (len(own) + 3.0)
-    std = np.clip(known * spread + (1.0 - known) * 0.3, LEAST_STD, LARGEST_STD)
-    return replace(model, prior_std=tuple(std.tolist()), ahead=model.rows)
+    information = np.array([s.information.sum(axis=0)[:count, :count] for s in here.slopes])
+    score = np.array([s.score.sum(axis=0)[:count] for s in here.slopes])
+    pull = np.einsum("nij,nj->ni", information, own) + score
+    centre, var = np.median(own, axis=0), np.full(count, LARGEST_STD**2)
+    for _ in range(_SPREADS):
+        posterior = np.linalg.inv(information + np.diag(1.0 / var))
+        mean = np.einsum("nij,nj->ni", posterior, pull + centre / var)
+        centre = np.median(mean, axis=0)
+        off = np.minimum(np.square(mean - centre), _FAR_AWAY**2 * var)
+        squares = (off + posterior[:, range(count), range(count)]).sum(axis=0)
+        # a small number of drivers determines the spread poorly
+        new = (squares + _AS_IF * _USUAL_STD**2) / (len(own) + _AS_IF)
+        new = np.clip(new, LEAST_STD**2, LARGEST_STD**2)
+        settled = np.abs(np.log(new / var)).max(initial=0.0) < _SETTLED
+        var = new
+        if settled:
+            break
+    return replace(model, prior_std=tuple(np.sqrt(var).tolist()), ahead=model.rows)

@@ -11,7 +11,7 @@ from scipy.signal import savgol_filter
 from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.driver.parameters import at_period
 from sugiyama_ros.fit.joint import JointFit, fit
-from sugiyama_ros.fit.model import Model, between_measurements, filtered_states
+from sugiyama_ros.fit.model import Model, between_measurements, filtered_states, moved
 from sugiyama_ros.fit.preparation import driven_anew, prepare_road
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.progress import OnStage
@@ -90,15 +90,28 @@ def resampled_fits(
 ) -> list[tuple[Recorded, JointFit]]:
     """Simulate recordings from a fit, and fit the model to each from the truth.
 
-    The fits end at a maximum, as the fit to the data does: elsewhere scores have another mean.
+    The fits end at a maximum, as the fit to the data does: elsewhere scores have another mean. The drivers are drawn
+    from what is known of each. Their estimates alone would differ less than drivers do, because they are draws from one
+    population, and a fit to them would then be better than a fit to the data.
     """
     states = filtered_states(data, fitted.model, work)
 
     def one_run(rng: np.random.Generator) -> tuple[Recorded, JointFit]:
-        simulated = resample(data, fitted.model, states, rng).roughly
-        return simulated, fit(simulated, fitted.model, work)
+        truth = _drawn(data, fitted, rng)
+        simulated = resample(data, truth, states, rng).roughly
+        return simulated, fit(simulated, truth, work)
 
     return parallel_map(one_run, rngs, "simulating the current model", on_progress)
+
+
+def _drawn(data: Recorded, fitted: JointFit, rng: np.random.Generator) -> Model:
+    """The model with the individual parameters of each driver drawn from their posterior distribution."""
+    own = len(fitted.model.individual)
+    prior = np.diag(np.array(fitted.model.prior_std) ** -2.0)
+    information = np.array([s.information.sum(axis=0)[:own, :own] + prior for s in fitted.slopes])
+    root, shock = np.linalg.cholesky(information), rng.standard_normal((data.drivers, own, 1))
+    away: Array = np.asarray(np.linalg.solve(root.transpose(0, 2, 1), shock), np.float64)
+    return moved(data, fitted.model, away[:, :, 0], np.zeros(len(fitted.model.shared)))
 
 
 def _led(t: DenseTracks, states: Array) -> tuple[Array, Array]:

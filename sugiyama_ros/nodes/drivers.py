@@ -19,8 +19,9 @@ from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.driver.parameters import NAMES, V_STAR
 from sugiyama_ros.effects.registry import ROW, active, switched_on
 from sugiyama_ros.errors import InputError, SugiyamaError
+from sugiyama_ros.filters.goals import GoalFilter
 from sugiyama_ros.filters.online import Estimate, OnlineFilter, warm_up
-from sugiyama_ros.fit.driver_types import DriverTypes
+from sugiyama_ros.fit.model_file import ModelFile
 from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.formats.truth import namespace
 from sugiyama_ros.laws.registry import name_of
@@ -104,7 +105,7 @@ class DriversNode(LifecycleNodeMixin, PacedNode):
         asks = self.option("ask_keeper", False, "whether to go on from what the keeper has last heard of vehicles")
         self._asked = set(self._only if asks else ())
         rows = self._model.rows_of(np.array(self._only)) if self._only else self._model.rows
-        self._online = declare_adapt(self, rows, self._model.population)
+        self._online = declare_adapt(self, rows, self._model)
         declare_driver(self, self._usual)
         check_driver(self)
         window = "time [s] by which a sample may be late and still be sorted in; later ones are dropped"
@@ -147,7 +148,7 @@ class DriversNode(LifecycleNodeMixin, PacedNode):
         self._feed = RoadFeed(self, self._on_road, self._take_in)
         if not self._has_vehicle_topics:
             self.stream(DriverArray, "drivers")
-            for kind, topic in _shared_topics(self._model.types):
+            for kind, topic in _shared_topics(self._model):
                 self.stream(kind, topic)
         for vehicle in self._only:
             self._topics[vehicle] = self._topics_of(vehicle)
@@ -346,7 +347,7 @@ class DriversNode(LifecycleNodeMixin, PacedNode):
 
     def _topics_of(self, vehicle: int) -> "_Topics":
         space = f"{namespace(vehicle)}/" if self._has_vehicle_topics else ""
-        return _Topics(self, vehicle, self._model.types, space, self._told_of.setdefault(vehicle, Told()))
+        return _Topics(self, vehicle, self._model, space, self._told_of.setdefault(vehicle, Told()))
 
     def _row_of(self, vehicle: int) -> Array:
         """Row (WIDTH,) of a driver: what the model says, with the parameters that were given, and changed effects."""
@@ -469,8 +470,8 @@ class _Topics:
     in one message, and share the topics beside it; told: notes what is published.
     """
 
-    def __init__(self, node: PacedNode, vehicle: int, types: DriverTypes | None, space: str, told: Told) -> None:
-        self._node, self._vehicle, self._types, self._space, self.told = node, vehicle, types, space, told
+    def __init__(self, node: PacedNode, vehicle: int, model: ModelFile, space: str, told: Told) -> None:
+        self._node, self._vehicle, self._model, self._space, self.told = node, vehicle, model, space, told
         self._filter: OnlineFilter | None = None
         self._stamp_ns: int | None = None
         # the largest speed [m/s] so far
@@ -480,7 +481,7 @@ class _Topics:
             self._to_state = self._stream(VehicleState, "state")
             self._to_innovation = self._stream(Innovation, "innovation")
             self._to_parameters = self._stream(DriverParameters, "parameters", KEPT_STREAM)
-        self._to_changes, *self._to_type = [self._stream(kind, topic) for kind, topic in _shared_topics(types)]
+        self._to_changes, *self._to_type = [self._stream(kind, topic) for kind, topic in _shared_topics(model)]
 
     def _stream(self, kind: type, topic: str, qos: QoSProfile = STREAM) -> Publisher:
         self._own.append(self._space + topic)
@@ -546,9 +547,12 @@ class _Topics:
             if self._space:
                 numbers = self._value, *self._of_all()
                 send(self._to_parameters, cdr_messages.parameters(stamp_ns, vehicle, self._names, *numbers))
-            if self._types is not None:
-                probability = self._types.probabilities(filter_.learnt, filter_.prior).tolist()
-                of_type = DriverType(vehicle=vehicle, probability=probability)
+            if self._to_type:
+                of_type, types, goals = DriverType(vehicle=vehicle), self._model.types, self._model.goals
+                if types is not None:
+                    of_type.probability = types.probabilities(filter_.learnt, filter_.prior).tolist()
+                if goals is not None and isinstance(filter_, GoalFilter):
+                    of_type.goals, of_type.goal_probability = goals.names, filter_.goal_probability.tolist()
                 of_type.header.stamp, of_type.header.frame_id = time_message(stamp_ns), FRAME
                 send(self._to_type[0], of_type)
         return known
@@ -569,6 +573,6 @@ class _Topics:
         return covariance, identified
 
 
-def _shared_topics(types: DriverTypes | None) -> list[tuple[type, str]]:
+def _shared_topics(model: ModelFile) -> list[tuple[type, str]]:
     """Classes and names of the topics that each driver has also where they are in one message with other drivers."""
-    return [(StyleChange, "style_change"), *([(DriverType, "driver_type")] if types is not None else [])]
+    return [(StyleChange, "style_change"), *([(DriverType, "driver_type")] if model.types or model.goals else [])]

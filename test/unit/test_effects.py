@@ -58,6 +58,7 @@ ACTING = {
     "speed_dependent_noise_fading": {"full_speed": 12.0},
     "drag": {"c0": 0.3, "c2": 0.003},
     "drag_to_standstill": {"c0": 0.3, "c2": 0.003},
+    "goal_ahead": {"deceleration": 1.0, "place": 60.0, "speed": 1.0},
     "road_grade": {"grade": 0.03, "centre": 50.0, "width": 60.0},
     "external_push": {"strength": -2.0, "time": 20.0, "duration": 1.0, "spared": 0.0},
     "discovered_force": {"covariate": 2.0, "first": 0.0, "last": 10.0, "force_0": 0.5, "force_7": -0.5},

@@ -13,8 +13,10 @@ from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN, Adaptation
 from sugiyama_ros.filters.effect_filter import OF_LAW, STRENGTHS, EffectFilter, check_names
+from sugiyama_ros.filters.goals import GoalFilter
 from sugiyama_ros.filters.online import ADAPT, OnlineFilter
-from sugiyama_ros.fit.driver_types import LEAST_STD, Population
+from sugiyama_ros.fit.driver_types import LEAST_STD
+from sugiyama_ros.fit.goals import KnownGoals
 from sugiyama_ros.fit.model_file import ModelFile, drivers_of
 from sugiyama_ros.laws.registry import ADAPTIVE_SEEK, PAPERS
 from sugiyama_ros.nodes.base.node import PacedNode
@@ -70,28 +72,33 @@ def declare_model(node: PacedNode) -> ModelFile:
 class OnlineSettings:
     """What is learnt online of a driver: preferences, in the state of the filter, and parameters of effects.
 
-    of_effects: names such as ``drag.c0``, ``effects`` for all strengths, or ``law``; engine: of ``ENGINES``.
+    of_effects: names such as ``drag.c0``, ``effects`` for all strengths, or ``law``; engine: of ``ENGINES``; goals:
+    what drivers may intend, if the model knows it.
     """
 
     adaptation: Adaptation
     of_effects: tuple[str, ...]
     engine: Engine
+    goals: KnownGoals | None = None
 
     def filter_of(self, period_s: float, road: Road, row: Array, vehicles: int = CHAIN) -> OnlineFilter:
         """Return the filter of a driver who starts from a row (WIDTH,), with a number of vehicles in its chain.
 
         A filter that learns values of effects keeps the usual chain: each value costs as much as another filter.
         """
+        if self.goals is not None:
+            rows = np.array([np.zeros(ROW.width), *(one.row for one in self.goals.goals)])
+            return GoalFilter(period_s, road, row, rows, self.goals.prior, self.adaptation, vehicles)
         if self.of_effects:
             return EffectFilter(period_s, road, row, self.of_effects, self.adaptation)
         return OnlineFilter(period_s, road, row, adaptation=self.adaptation, vehicles=vehicles, engine=self.engine)
 
 
-def declare_adapt(node: PacedNode, rows: Array, drawn: Population | None) -> OnlineSettings:
+def declare_adapt(node: PacedNode, rows: Array, model: ModelFile) -> OnlineSettings:
     """Declare the parameters ``adapt`` and ``engine``: what is learnt online, and how. Raises InputError.
 
-    rows: (N, WIDTH) of the drivers; of drivers of another law than the paper's, the law's parameters are learnt; drawn:
-    of which population the drivers are draws, if the model knows it.
+    rows: (N, WIDTH) of the drivers; of drivers of another law than the paper's, the law's parameters are learnt; model:
+    where they come from, with the population and the goals of the drivers, if it knows them.
     """
     usual = list(ADAPT.names) if (rows[:, ROW.law] == ADAPTIVE_SEEK).all() else [OF_LAW]
     given = node.option(
@@ -103,8 +110,8 @@ def declare_adapt(node: PacedNode, rows: Array, drawn: Population | None) -> Onl
     names = tuple(dict.fromkeys(name for name in given if name))
     own = tuple(name for name in names if name not in (STRENGTHS, OF_LAW) and "." not in name)
     known = dict(zip(ADAPT.names, ADAPT.prior_std, strict=True))
-    if drawn is not None:
-        known |= {name: max(std, LEAST_STD) for name, (_, std) in drawn.parameters.items()}
+    if model.population is not None:
+        known |= {name: max(std, LEAST_STD) for name, (_, std) in model.population.parameters.items()}
     stds = tuple(known.get(name, _OTHER_STD) for name in own)
     of_effects = tuple(name for name in names if name not in own)
     check_names(of_effects)
@@ -115,7 +122,10 @@ def declare_adapt(node: PacedNode, rows: Array, drawn: Population | None) -> Onl
     engine = engine_of(str(node.option("engine", ENGINES[0], text)))
     if of_effects and engine != ENGINES[0]:
         raise InputError(f"engine: {engine} learns no parameters of effects; take {of_effects[0]} out of adapt")
-    return OnlineSettings(Adaptation(own, stds, ADAPT.relaxation_s), of_effects, engine)
+    if model.goals is not None and (of_effects or engine != ENGINES[0]):
+        wrong = "adapt: takes no parameters of effects" if of_effects else f"engine: takes {ENGINES[0]} only"
+        raise InputError(f"{wrong} beside goals; take the goals out of the model file")
+    return OnlineSettings(Adaptation(own, stds, ADAPT.relaxation_s), of_effects, engine, model.goals)
 
 
 def engine_of(name: str) -> Engine:
