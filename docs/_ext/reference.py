@@ -172,7 +172,7 @@ def python() -> str:
         "======",
         "",
         "With ``import sugiyama_ros as sg``. Importing the package changes neither the environment nor any file, and",
-        "loads neither numba nor rclpy. ``sg.laws`` and ``sg.effects`` map names to declarations;",
+        "loads neither numba nor rclpy. ``sg.laws``, ``sg.effects`` and ``sg.controllers`` map names to declarations;",
         "``sg.__version__`` is the version.",
         "",
         ".. currentmodule:: sugiyama_ros",
