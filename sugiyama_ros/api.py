@@ -66,8 +66,8 @@ def read(
     source : str, Path, sequence of them or pandas.DataFrame
         A file or a folder in any known format; several files, each of which is a recording; or a data frame with the
         columns vehicle, time_s [s] and s_m [m], and perhaps recording, road, lane, d_m, length_m, width_m [m], class,
-        driver, leader and measured. A table with position_m in place of s_m, and without recordings, roads, lanes and
-        leaders, is of one road on which everybody is in view.
+        driver, leader, measured and controlled. A table with position_m in place of s_m, and without recordings, roads,
+        lanes and leaders, is of one road on which everybody is in view.
     ring_m : float, optional
         Circumference [m] of the ring where the file does not tell; an open road without it.
     name : str

@@ -15,7 +15,7 @@ from sugiyama_ros.fit.smooth_positions import evenness
 from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.progress import OnProgress
 from sugiyama_ros.trajectories.about import About
-from sugiyama_ros.trajectories.dense import DenseTracks, numbers_of, one_road, whole_road
+from sugiyama_ros.trajectories.dense import DenseTracks, numbers_of, one_road, road_of_drivers
 from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.workers import workers
 
@@ -38,7 +38,7 @@ def calibrate_drivers(
 
     scheduler: address of a Dask scheduler whose workers do the work; where: name of the file, for errors.
     """
-    road = one_road(tracks, where) if settings.formulation == "paper" else whole_road(tracks)
+    road = one_road(tracks, where) if settings.formulation == "paper" else road_of_drivers(tracks)
     with workers(tracks.runs, scheduler) as work:
         if settings.is_pooled:
             return _named(_pooled(tracks, road, settings, work), tracks)
@@ -78,7 +78,7 @@ def each_driver(
     The causal formulation makes two passes. The second pass gives the drivers ahead the parameters that the first pass
     found.
     """
-    passes, drivers = 1 if settings.formulation == "paper" else 2, len(road.vehicle)
+    passes, drivers = 1 if settings.formulation == "paper" else 2, len(_drivers(road))
     fits: list[Fit] = []
     for number in range(passes):
         is_last = number == passes - 1
@@ -92,7 +92,7 @@ def each_driver(
 
 def _in_classes(road: DenseTracks, settings: Settings, about: About, work: Executor) -> Calibration:
     """Calibrate classes of drivers on a whole road. The drivers of a class share all parameters."""
-    drivers = len(road.vehicle)
+    drivers = len(_drivers(road))
     settings.check_classes(drivers, about.source)
     searches = list(jobs(road, settings.formulation, settings.estimated, SearchOptions(with_errors=False)))
     samples = int(np.isfinite(road.position_m).sum())
@@ -147,7 +147,7 @@ def _pooled(tracks: Tracks, road: DenseTracks | None, settings: Settings, work: 
 
 
 def _drivers(road: DenseTracks) -> tuple[CalibratedDriver, ...]:
-    return tuple(CalibratedDriver(number, number) for number in road.vehicle.tolist())
+    return tuple(CalibratedDriver(v, v) for v in road.vehicle.tolist() if v not in road.controlled)
 
 
 def _followers(data: "Recorded", samples: "PointwiseDensity") -> tuple[CalibratedDriver, ...]:

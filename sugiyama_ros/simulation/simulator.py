@@ -244,6 +244,7 @@ def simulate(simulator: Simulator, duration_s: float, *, stop_at_collision: bool
             period_s=simulator.period_s,
             start_s=simulator.start_s,
             source="adaptiveSeek",
+            controlled=simulator.controlled,
         ),
         parameters=simulator.drivers,
         position_m=simulator.road.wrap(position[:taken]),
