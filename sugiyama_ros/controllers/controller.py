@@ -11,8 +11,8 @@ from sugiyama_ros.driver.utility import ACTIONS
 
 # Hardest braking [m/s^2]: that of the paper's drivers.
 _HARDEST = float(ACTIONS[0])
-# Largest acceleration [m/s^2], as of the controlled vehicle of Wu et al., IEEE Trans. Robot. 38 (2022) 1270.
-_STRONGEST = 1.0
+#: Largest acceleration [m/s^2], as of the controlled vehicle of Wu et al., IEEE Trans. Robot. 38 (2022) 1270.
+STRONGEST = 1.0
 
 
 def _no_memory(p: Array, period: float) -> int:
@@ -73,4 +73,4 @@ class Controlled:
 
 def acceleration_to(wanted: float, speed: float, period: float) -> float:
     """Acceleration [m/s^2] that takes a vehicle to a commanded speed [m/s] within a period [s], as far as it can."""
-    return min(max((wanted - speed) / period, _HARDEST), _STRONGEST)
+    return min(max((wanted - speed) / period, _HARDEST), STRONGEST)

@@ -31,7 +31,7 @@ CONTROLLER = Controller(
     name="follower_stopper",
     title="FollowerStopper",
     summary="a chosen speed; less of it within envelopes of gap and closing speed around the leader",
-    source="Stern et al., Transp. Res. C 89 (2018) 205; Bhadani et al., IEEE Conf. Decision and Control (2018) 3292",
+    source="Stern et al., Transp. Res. C 89 (2018) 205; Bhadani et al., IEEE Conf. Decision and Control (2018)",
     parameters=(TARGET,),
     function=_follower_stopper,
 )

@@ -3,8 +3,8 @@
 import numpy as np
 
 from sugiyama_ros.arrays import Array
+from sugiyama_ros.controllers.controller import STRONGEST
 from sugiyama_ros.driver.parameters import Parameter
-from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.laws.gipps import safe_speed
 
 #: The speed [m/s] that somebody chooses for a controlled vehicle.
@@ -17,17 +17,18 @@ CATCH_UP = Parameter(
 )
 # Gaps [m] at which a vehicle begins to catch up, and does so fully.
 _SHORT_M, _LONG_M = 7.0, 30.0
-# Gap [m] at standstill, braking [m/s^2] that a vehicle plans with, and braking that it expects ahead: the hardest.
-_STANDSTILL_M, _PLANNED, _AHEAD = 2.0, 3.0, -float(ACTIONS[0])
+# Gap [m] at standstill.
+_STANDSTILL_M = 2.0
 
 
 def safely(wanted: float, gap: float, speed: float, leader_speed: float, period: float) -> float:
     """Limit a wanted speed [m/s] to the speed from which the vehicle can still stop behind the leader.
 
-    The limit is the safe speed of Gipps' law for a leader who brakes as hard as the paper's drivers do at most.
+    The limit is the safe speed of Gipps' law for a vehicle and a leader who brake as gently as the vehicle accelerates.
+    Behind a leader who brakes harder, the limit falls faster, and the vehicle brakes harder, too.
     """
     room = gap - _STANDSTILL_M
-    return min(wanted, safe_speed(room, max(speed, 0.0), leader_speed, period, _PLANNED, _AHEAD))
+    return min(wanted, safe_speed(room, max(speed, 0.0), leader_speed, period, STRONGEST, STRONGEST))
 
 
 def catching_up(gap: float, catch_up: float) -> float:
