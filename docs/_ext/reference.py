@@ -227,6 +227,8 @@ def pages(app: Sphinx, config: Config) -> None:
     write("parameters.md", parameters())
     about = "Every law is one file in `sugiyama_ros/laws`. {doc}`/howto/law` says how to add one of your own."
     write("laws.md", extensions("Laws", about, sg.laws.values()))
+    about = "Every controller is one file in `sugiyama_ros/controllers`. {doc}`/controlled` has the equations."
+    write("controllers.md", extensions("Controllers", about, sg.controllers.values()))
     write("studies.md", studies())
     write("formats.md", file_formats())
     write("python.rst", python())

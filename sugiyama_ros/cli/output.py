@@ -42,7 +42,7 @@ def print_warnings(tracks: "Tracks") -> None:
     for note in tracks.about.notes:
         if note.startswith("warning"):
             print_note(note)
-    if controlled := [tracks.run_name(run) for run in tracks.controlled_runs.nonzero()[0].tolist()]:
+    if controlled := tracks.controlled_names:
         print_note(f"a controller drives {', '.join(controlled)}: counted as no driver, but as the leader of others")
 
 

@@ -184,13 +184,13 @@ def _draw(every: list[_Setting], measures: Array, best: Mask, figure: Any) -> No
             dx, dy = (np.nan_to_num(difference(runs[:, k] - measures[0, :, k])[1]) for k in (_STD, _FLOW))
             look = {"fmt": "osD^"[names.index(name)], "color": f"C{names.index(name)}"} if name else {"fmt": "k*"}
             label = None if name in labelled else name.replace("_", " ") or "nobody"
-            edge = {"markeredgecolor": "red", "markeredgewidth": 2.0} if is_best else {}
+            edge = {"markeredgecolor": "black", "markeredgewidth": 1.5, "markersize": 9} if is_best else {}
             axes.errorbar(x, y, dy, dx, **look, **edge, elinewidth=0.8, label=label)
             axes.annotate(value.partition("=")[2], (x, y), (5, 5), textcoords="offset points", fontsize=7)
             labelled.add(name)
         axes.set(xlabel="std of speeds over cars and time [m/s]", title=f"{cars} controlled")
     panels[0].set_ylabel("flow [1/h]")
-    panels[0].legend(fontsize="small", loc="lower right", title="red edge: Pareto set")
+    panels[0].legend(fontsize="small", loc="lower right", title="large, black edge: Pareto set")
 
 
 STUDY = Study(

@@ -131,6 +131,11 @@ class Tracks(Result):
         recording = self.recording.at(row)
         return self.vehicle.at(row) + (f" of recording {recording}" if len(self.recording.text) > 1 else "")
 
+    @property
+    def controlled_names(self) -> list[str]:
+        """Names of the vehicles that a controller drives, as of `run_name`."""
+        return [self.run_name(run) for run in np.flatnonzero(self.controlled_runs).tolist()]
+
     def column(self, name: str) -> Labels | Array | Mask | None:
         """A column by its name in files; None for one that is not there."""
         found = getattr(self, "vehicle_class" if name == "class" else name)

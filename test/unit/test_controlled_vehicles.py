@@ -1,9 +1,10 @@
 """A controlled vehicle in a recording: files keep it, and nobody judges it as a driver."""
 
+import json
 from pathlib import Path
 
-import numpy as np
 import pytest
+from journeys.forks import Forks
 
 import sugiyama_ros as sg
 from sugiyama_ros.errors import InputError
@@ -22,10 +23,6 @@ def simulation():
     return sg.simulate(6, ring_m=RING_M, duration_s=60.0, controlled=[0, 2], controller="constant_speed:target=5")
 
 
-def controlled(tracks):
-    return [tracks.run_name(run) for run in np.flatnonzero(tracks.controlled_runs)]
-
-
 def test_every_file_of_ours_keeps_who_is_controlled(simulation, tmp_path: Path) -> None:
     tracks = simulation.measured
     files = {name: tmp_path / name for name in ("a.csv", "b.csv", "c.csv", "d.parquet", "e.mcap", "f.mcap")}
@@ -36,8 +33,8 @@ def test_every_file_of_ours_keeps_who_is_controlled(simulation, tmp_path: Path) 
     simulation.save(files["e.mcap"])
     write_bag(tracks.dense(), files["f.mcap"])
     for path in files.values():
-        assert controlled(sg.read(path, ring_m=RING_M)) == ["0", "2"], path
-    assert controlled(sg.read(tracks.to_frame(), ring_m=RING_M)) == ["0", "2"]
+        assert sg.read(path, ring_m=RING_M).controlled_names == ["0", "2"], path
+    assert sg.read(tracks.to_frame(), ring_m=RING_M).controlled_names == ["0", "2"]
     assert {one.vehicle for one in read_truth(files["e.mcap"]).drivers} == {1, 3, 4, 5}
 
 
@@ -57,7 +54,7 @@ def test_a_vehicle_that_is_controlled_for_a_while_is_controlled() -> None:
             for name, value in zip(rows, (vehicle, 0.5 * k, 20.0 * vehicle + 2.0 * k, flag), strict=True):
                 rows[name].append(value)
     pandas = pytest.importorskip("pandas")
-    assert controlled(sg.read(pandas.DataFrame(rows))) == ["1"]
+    assert sg.read(pandas.DataFrame(rows)).controlled_names == ["1"]
     rows["controlled"][3] = "acc"
     with pytest.raises(InputError, match="column controlled: 'acc' says neither yes nor no; give 1 or 0"):
         sg.read(pandas.DataFrame(rows))
@@ -84,5 +81,20 @@ def test_compare_says_nothing_of_who_is_controlled(simulation) -> None:
 def test_half_a_recording_keeps_who_is_controlled(simulation) -> None:
     tracks = simulation.measured
     half = tracks.select(tracks.time_s < 30.0)
-    assert controlled(half) == ["0", "2"]
+    assert half.controlled_names == ["0", "2"]
     assert tracks_of(half.dense()).controlled.sum() == half.controlled.sum()
+
+
+@pytest.mark.system
+def test_the_commands_say_who_is_no_driver(simulation, tmp_path: Path, forks: Forks) -> None:
+    simulation.save(tmp_path / "held.mcap")
+    said = forks.run_text(tmp_path, "sugiyama calibrate held.mcap --formulation paper --json")
+    assert said.err.splitlines() == ["a controller drives 0, 2: counted as no driver, but as the leader of others"]
+    assert [one["vehicle"] for one in json.loads(said.out)["drivers"]] == [1, 3, 4, 5]
+    said = forks.run_text(tmp_path, "sugiyama info held.mcap --json")
+    assert said.code == 0
+    simulation.measured.save(tmp_path / "held.parquet")
+    said = forks.run_text(tmp_path, "sugiyama info held.parquet")
+    assert "Controlled:  0, 2" in said.out
+    said = forks.run_text(tmp_path, "sugiyama run held.mcap -o run.mcap --json")
+    assert [one["vehicle"] for one in json.loads(said.out)["drivers"]] == [1, 3, 4, 5]
