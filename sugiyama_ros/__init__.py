@@ -9,7 +9,7 @@ The Python interface in one line each, with ``import sugiyama_ros as sg``:
 - ``sg.diagnose(tracks)``: which physical effect the model lacks;
 - ``sg.read_recording(path)``: what the estimators published in a recorded run;
 - ``sg.report(run, page)``: a page about a recorded run, with a diagnosis if there is one;
-- ``sg.laws``, ``sg.effects``: what can be simulated, fitted and added, by name.
+- ``sg.laws``, ``sg.effects``, ``sg.controllers``: what can be simulated, fitted and added, by name.
 
 Importing the package loads nothing else: what a name needs is loaded when the name is first used.
 """
@@ -18,7 +18,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sugiyama_ros import effects, laws
+    from sugiyama_ros import controllers, effects, laws
     from sugiyama_ros.api import calibrate, compare, diagnose, read, read_recording, report, simulate
 
     __version__: str
@@ -27,6 +27,7 @@ __all__ = [
     "__version__",
     "calibrate",
     "compare",
+    "controllers",
     "diagnose",
     "effects",
     "laws",
@@ -42,7 +43,7 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("sugiyama_ros")
-    if name in ("effects", "laws"):
+    if name in ("controllers", "effects", "laws"):
         return import_module(f"sugiyama_ros.{name}")
     if name in __all__:
         return getattr(import_module("sugiyama_ros.api"), name)

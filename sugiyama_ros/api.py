@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.calibration.calibrate import calibrate_drivers
 from sugiyama_ros.calibration.result import Calibration, Settings, number_of_classes
+from sugiyama_ros.controllers.registry import controlled_by
 from sugiyama_ros.diagnosis import compare as comparison
 from sugiyama_ros.diagnosis import diagnose as diagnosis
 from sugiyama_ros.diagnosis.candidates import check_names
@@ -44,6 +46,8 @@ if TYPE_CHECKING:
 
 #: Largest number of steps of a diagnosis that add something, unless somebody asks for more.
 FEW_STEPS = 3
+#: Bounds of settings of `simulate`.
+_SIMULATE = {"duration_s": (1.0, 1e9), "horizon": (1, 100), "seed": (0, math.inf), "spread": (0.0, 1.0)}
 #: Further settings of `calibrate`, and their defaults.
 _CALIBRATE: dict[str, Any] = {"classes": 0, "goals": {}, "seed": 0, "law": PAPERS, "scheduler": None}
 
@@ -63,8 +67,8 @@ def read(
     source : str, Path, sequence of them or pandas.DataFrame
         A file or a folder in any known format; several files, each of which is a recording; or a data frame with the
         columns vehicle, time_s [s] and s_m [m], and perhaps recording, road, lane, d_m, length_m, width_m [m], class,
-        driver, leader and measured. A table with position_m in place of s_m, and without recordings, roads, lanes and
-        leaders, is of one road on which everybody is in view.
+        driver, leader, measured and controlled. A table with position_m in place of s_m, and without recordings, roads,
+        lanes and leaders, is of one road on which everybody is in view.
     ring_m : float, optional
         Circumference [m] of the ring where the file does not tell; an open road without it.
     name : str
@@ -113,6 +117,8 @@ def simulate(
     effects: Mapping[str, Mapping[str, float]] | None = None,
     model: str | Path | None = None,
     law: str = PAPERS,
+    controlled: Sequence[int] | None = None,
+    controller: str | None = None,
     **settings: Any,
 ) -> Simulation:
     """Simulate drivers from rest on a ring or an open road.
@@ -129,6 +135,10 @@ def simulate(
         Model file with parameters and effects of each driver.
     law : str
         Name of the law by which all drivers drive, such as ``"idm"``, with its usual values; the paper's by default.
+    controlled : sequence of int, optional
+        Numbers of vehicles, from 0, that a controller drives in place of their drivers.
+    controller : str, optional
+        The controller with its values, such as ``"constant_speed:target=7"``; `sugiyama_ros.controllers` has all.
     **settings
         Fields of `sugiyama_ros.simulation.experiment.Experiment`: ring_m [m] (0 for an open road), duration_s [s],
         gap_m [m], period_s [s], horizon, spread, seed, start ("jam" or "equal") and length_m [m].
@@ -151,21 +161,20 @@ def simulate(
     (31, 3)
     """
     _check_names("simulate", settings, Experiment.__dataclass_fields__)
-    for field, lower, upper in (
-        ("duration_s", 1.0, 1e9),
-        ("horizon", 1, 100),
-        ("seed", 0, math.inf),
-        ("spread", 0.0, 1.0),
-    ):
-        _check_within(field, settings.get(field), lower, upper)
+    for field, bounds in _SIMULATE.items():
+        _check_within(field, settings.get(field), *bounds)
     experiment = Experiment(**settings)
     experiment.check(vehicles)
-    rows = ROW.with_effects(defaults(vehicles))
+    rows = changed(_rows(vehicles, model, law), parameters or {}, effects or {})
+    return carry_out(experiment, rows, controlled_by(controlled, controller))
+
+
+def _rows(vehicles: int, model: str | Path | None, law: str) -> Array:
+    """Rows (N, width) of the drivers of a model file, or of drivers who are all alike."""
     if model is not None:
-        rows = drivers_of(Path(model), law).rows_of(np.arange(vehicles))
-    elif law != PAPERS:
-        rows = np.array([drive_by(row, law) for row in rows])
-    return carry_out(experiment, changed(rows, parameters or {}, effects or {}))
+        return drivers_of(Path(model), law).rows_of(np.arange(vehicles))
+    rows = ROW.with_effects(defaults(vehicles))
+    return rows if law == PAPERS else np.array([drive_by(row, law) for row in rows])
 
 
 def calibrate(

@@ -1,8 +1,8 @@
 """Extensions: the built-in ones, and those that other installed packages add through entry points.
 
-An extension is one object with a name (an effect, a law, a file format or a study) in one module. A package of your own
-offers it through an entry point, for example ``[project.entry-points."sugiyama_ros.effects"]`` with
-``syrup = "my_package.syrup:EFFECT"``.
+An extension is one object with a name (an effect, a law, a controller, a file format or a study) in one module. A
+package of your own offers it through an entry point, for example ``[project.entry-points."sugiyama_ros.effects"]``
+with ``syrup = "my_package.syrup:EFFECT"``.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

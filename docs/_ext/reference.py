@@ -172,7 +172,7 @@ def python() -> str:
         "======",
         "",
         "With ``import sugiyama_ros as sg``. Importing the package changes neither the environment nor any file, and",
-        "loads neither numba nor rclpy. ``sg.laws`` and ``sg.effects`` map names to declarations;",
+        "loads neither numba nor rclpy. ``sg.laws``, ``sg.effects`` and ``sg.controllers`` map names to declarations;",
         "``sg.__version__`` is the version.",
         "",
         ".. currentmodule:: sugiyama_ros",
@@ -227,6 +227,8 @@ def pages(app: Sphinx, config: Config) -> None:
     write("parameters.md", parameters())
     about = "Every law is one file in `sugiyama_ros/laws`. {doc}`/howto/law` says how to add one of your own."
     write("laws.md", extensions("Laws", about, sg.laws.values()))
+    about = "Every controller is one file in `sugiyama_ros/controllers`. {doc}`/controlled` has the equations."
+    write("controllers.md", extensions("Controllers", about, sg.controllers.values()))
     write("studies.md", studies())
     write("formats.md", file_formats())
     write("python.rst", python())

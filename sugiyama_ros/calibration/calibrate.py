@@ -26,7 +26,7 @@ from sugiyama_ros.fit.smooth_positions import evenness
 from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.progress import OnProgress
 from sugiyama_ros.trajectories.about import About
-from sugiyama_ros.trajectories.dense import DenseTracks, numbers_of, one_road, whole_road
+from sugiyama_ros.trajectories.dense import DenseTracks, numbers_of, one_road, road_of_drivers
 from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.workers import workers
 
@@ -49,7 +49,7 @@ def calibrate_drivers(
 
     scheduler: address of a Dask scheduler whose workers do the work; where: name of the file, for errors.
     """
-    road = one_road(tracks, where) if settings.formulation == "paper" else whole_road(tracks)
+    road = one_road(tracks, where) if settings.formulation == "paper" else road_of_drivers(tracks)
     with workers(tracks.runs, scheduler) as work:
         if settings.classes or settings.goals:
             return _named(_in_classes(tracks, road, settings, work, on_progress), tracks)
@@ -89,7 +89,7 @@ def each_driver(
     The causal formulation makes two passes. The second pass gives the drivers ahead the parameters that the first pass
     found.
     """
-    passes, drivers = 1 if settings.formulation == "paper" else 2, len(road.vehicle)
+    passes, drivers = 1 if settings.formulation == "paper" else 2, len(_drivers(road))
     fits: list[Fit] = []
     for number in range(passes):
         is_last = number == passes - 1
@@ -198,7 +198,7 @@ def _pooled(tracks: Tracks, road: DenseTracks | None, settings: Settings, work: 
 
 
 def _drivers(road: DenseTracks) -> tuple[CalibratedDriver, ...]:
-    return tuple(CalibratedDriver(number, number) for number in road.vehicle.tolist())
+    return tuple(CalibratedDriver(v, v) for v in road.vehicle.tolist() if v not in road.controlled)
 
 
 def _followers(data: "Recorded", samples: "PointwiseDensity") -> tuple[CalibratedDriver, ...]:

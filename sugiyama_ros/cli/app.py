@@ -40,6 +40,7 @@ for command in (
     diagnose.compare,
     catalogue.effects,
     catalogue.laws,
+    catalogue.controllers,
     report.report,
     run.live,
     data.convert,

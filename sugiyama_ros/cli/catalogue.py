@@ -1,4 +1,4 @@
-"""``sugiyama effects`` and ``sugiyama laws``: what there is, from the declarations."""
+"""``sugiyama effects``, ``sugiyama laws`` and ``sugiyama controllers``: what there is, from the declarations."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any
@@ -36,6 +36,19 @@ def laws(
     from sugiyama_ros.laws.registry import LAWS, law
 
     _show({name: law(name)} if name else LAWS, bool(name), as_json)
+
+
+def controllers(
+    name: Annotated[str, typer.Argument(help="Name of a controller. Without a name, all controllers are listed.")] = "",
+    as_json: Json = False,
+) -> None:
+    """List the controllers that can drive simulated vehicles.
+
+    Each controller has its meaning, and its parameters with their units.
+    """
+    from sugiyama_ros.controllers.registry import CONTROLLERS, controller
+
+    _show({name: controller(name)} if name else CONTROLLERS, bool(name), as_json)
 
 
 def _show(found: Mapping[str, Any], in_detail: bool, as_json: bool) -> None:

@@ -38,10 +38,12 @@ def print_note(text: str) -> None:
 
 
 def print_warnings(tracks: "Tracks") -> None:
-    """Print to stderr what a recording needs attention for."""
+    """Print to stderr what a recording needs attention for, and who is no driver."""
     for note in tracks.about.notes:
         if note.startswith("warning"):
             print_note(note)
+    if controlled := tracks.controlled_names:
+        print_note(f"a controller drives {', '.join(controlled)}: counted as no driver, but as the leader of others")
 
 
 def print_cautions(model: Path | None) -> None:

@@ -56,6 +56,13 @@ class _SimulateOptions:
         typer.Option(min=0.0, max=1.0, help="Relative standard deviation of v_star and kappa_v over the drivers."),
     ] = 0.0
     start: Annotated[str, typer.Option(help="Start in a jam, or on a ring with equal gaps: jam or equal.")] = "jam"
+    controlled: Annotated[
+        str | None, typer.Option(help="Numbers of vehicles that a controller drives, such as 0,7; needs --controller.")
+    ] = None
+    controller: Annotated[
+        str | None,
+        typer.Option(help="NAME[:KEY=VALUE[,...]]: what drives the controlled vehicles; see `sugiyama controllers`."),
+    ] = None
     law: Law = PAPERS
     parameter: SetParameter = None
     effect: AddEffect = None
@@ -79,6 +86,8 @@ def simulate(options: _SimulateOptions) -> None:
         raise InputError("--view: is for tracks; add --lanes, or leave it out")
     if options.lanes is not None and options.ring:
         raise InputError("--ring: a ring has one lane; leave out --ring or --lanes")
+    if options.lanes is not None and options.controlled is not None:
+        raise InputError("--controlled: is for one lane; leave out --controlled or --lanes")
     output = to_write(options.output, options.overwrite, ".mcap" if options.lanes is None else ".parquet", ".csv")
     vehicles = options.vehicles * (options.lanes or 1)
     ring_m = options.ring if options.ring is not None else Experiment.ring_m if options.lanes is None else 0.0
@@ -101,11 +110,12 @@ def _on_one_lane(
     options: _SimulateOptions, experiment: "Experiment", rows: "Array", output: Output
 ) -> tuple[dict[str, Any], list[str]]:
     """Write a ring or a lane with the truth; returns the document, and what is said."""
+    from sugiyama_ros.controllers.registry import controlled_by
     from sugiyama_ros.formats.table import write_csv
     from sugiyama_ros.formats.truth import write_simulated
     from sugiyama_ros.simulation.experiment import carry_out
 
-    simulated = carry_out(experiment, rows)
+    simulated = carry_out(experiment, rows, controlled_by(options.controlled, options.controller, "--{}".format))
     measured, speed = simulated.dense, simulated.speed[len(simulated.speed) // 2 :]
     if output.path.suffix == ".mcap":
         write_simulated(measured, simulated.truth, output)

@@ -393,6 +393,8 @@ def jobs(
 
         trajectories = with_short_periods(trajectories)
     for driver, vehicle in enumerate(trajectories.vehicle.tolist()):
+        if vehicle in trajectories.controlled:
+            continue
         one = replace(plain, vehicle=vehicle, start=known.get(vehicle, start))
         if formulation == "paper":
             yield replace(one, perceived=paper.perceive(trajectories, driver))

@@ -46,7 +46,7 @@ from sugiyama_ros.fit.smooth_positions import (
 )
 from sugiyama_ros.fit.smooth_positions import divided as divided_recording
 from sugiyama_ros.road import Road
-from sugiyama_ros.trajectories.dense import DenseTracks, numbers_of, whole_road
+from sugiyama_ros.trajectories.dense import DenseTracks, numbers_of, road_of_drivers
 from sugiyama_ros.trajectories.stretches import SHORTEST_STRETCH_S
 from sugiyama_ros.trajectories.time_base import on_time_base, period_of
 from sugiyama_ros.trajectories.tracks import Tracks
@@ -68,7 +68,7 @@ def prepare(tracks: Tracks, decisions: int | None = None, most: int | None = MOS
     decisions: number of decisions of the model's drivers from one sample to the next; by default ``usual_decisions``;
     most: drivers times samples, at most; of more, some drivers stand for all; None for no bound. Raises InputError.
     """
-    road = whole_road(tracks)
+    road = road_of_drivers(tracks)
     if road is None:
         return prepare_stretches(tracks, decisions, most)
     return prepare_road(road if decisions is None else divided_recording(measured(road), decisions), most=most)

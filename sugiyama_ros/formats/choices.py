@@ -10,10 +10,10 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.files import number, read_yaml
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.about import Reference, View
-from sugiyama_ros.trajectories.tracks import NUMBERS, TEXTS
+from sugiyama_ros.trajectories.tracks import FLAGS, NUMBERS, TEXTS
 
 #: Columns of a table of tracks.
-COLUMNS = (*TEXTS, *NUMBERS, "leader", "measured")
+COLUMNS = (*TEXTS, *NUMBERS, "leader", *FLAGS)
 #: Columns of the leader, in a table whose rows have a follower and the leader; and their gap.
 PAIRED = ("leader_vehicle", "leader_s_m", "leader_length_m", "leader_speed", "gap_m")
 # Columns that a map may name.

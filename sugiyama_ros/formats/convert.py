@@ -6,8 +6,8 @@ from pathlib import Path
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.files import Target, output_of
 from sugiyama_ros.formats.choices import Choices
-from sugiyama_ros.formats.mcap_writer import LATCHED_TOPIC, BagWriter, Qos
-from sugiyama_ros.formats.measured import MEASURED_TYPE, ROAD_TYPE, messages
+from sugiyama_ros.formats.mcap_writer import BagWriter
+from sugiyama_ros.formats.measured import channels_of, messages
 from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.formats.tracks_parquet import write_tracks
 from sugiyama_ros.trajectories.dense import DenseTracks, check_jumps, one_road
@@ -20,10 +20,7 @@ def write_bag(trajectories: DenseTracks, target: Target) -> None:
     """Write a bag with the topics /road and /measured. Stamps and log times are the times of the samples."""
     about = {"source": trajectories.source, "sha256": trajectories.sha256}
     with BagWriter(target, about) as bag:
-        channels = {
-            ROAD_TYPE: bag.topic("/road", ROAD_TYPE, LATCHED_TOPIC),
-            MEASURED_TYPE: bag.topic("/measured", MEASURED_TYPE, Qos()),
-        }
+        channels = channels_of(bag, trajectories)
         for type_name, stamp, data in messages(trajectories):
             bag.write(channels[type_name], data, stamp, stamp)
 

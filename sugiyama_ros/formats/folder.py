@@ -16,7 +16,7 @@ from sugiyama_ros.formats.sheet import head_of
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.exchange import of_columns
 from sugiyama_ros.trajectories.labels import Labels, joined, same_label
-from sugiyama_ros.trajectories.tracks import NUMBERS, TEXTS, Tracks
+from sugiyama_ros.trajectories.tracks import FLAGS, NUMBERS, TEXTS, Tracks
 
 _SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".data")
 # Files in a folder, at most.
@@ -74,7 +74,7 @@ def _named(part: Tracks, file: Path) -> Tracks:
 def _joined(source: str, parts: list[Tracks]) -> Tracks:
     """All parts in one table."""
     columns: Rows = {}
-    for name in (*TEXTS, *NUMBERS, "leader", "measured"):
+    for name in (*TEXTS, *NUMBERS, "leader", *FLAGS):
         if any(part.column(name) is not None for part in parts):
             columns[name] = _column(name, parts)
     each = [part.about for part in parts]
@@ -93,8 +93,8 @@ def _joined(source: str, parts: list[Tracks]) -> Tracks:
 
 def _column(name: str, parts: list[Tracks]) -> Array | Labels:
     columns = [part.column(name) for part in parts]
-    if name in NUMBERS or name == "measured":
-        missing = 1.0 if name == "measured" else np.nan
+    if name in (*NUMBERS, *FLAGS):
+        missing = {"measured": 1.0, "controlled": 0.0}.get(name, np.nan)
         filled = [
             np.full(len(part), missing) if one is None else np.asarray(one, dtype=np.float64)
             for part, one in zip(parts, columns, strict=True)

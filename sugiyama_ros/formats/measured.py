@@ -14,16 +14,19 @@ from sugiyama_ros.formats.format import Format
 from sugiyama_ros.formats.mcap_records import MAGIC
 from sugiyama_ros.formats.reading import checksum_of, shown_name
 from sugiyama_ros.trajectories.about import About
-from sugiyama_ros.trajectories.assemble import Columns, assemble
+from sugiyama_ros.trajectories.assemble import Column, assemble
 from sugiyama_ros.trajectories.dense import MAX_SAMPLES, DenseTracks
 from sugiyama_ros.trajectories.labels import numbered
 from sugiyama_ros.trajectories.tracks import Tracks
 
 if TYPE_CHECKING:
     from sugiyama_ros.formats.mcap_reader import Bag
+    from sugiyama_ros.formats.mcap_writer import BagWriter
 
 ROAD_TYPE = "sugiyama_msgs/msg/Road"
 MEASURED_TYPE = "sugiyama_msgs/msg/MeasuredPositions"
+#: Type and name of the topic that says which vehicles a controller drives, by their numbers.
+CONTROLLED_TYPE, CONTROLLED = "std_msgs/msg/Int32MultiArray", "controlled"
 # Largest number of a vehicle, which ROS sends in 32 bits.
 _LAST_VEHICLE = 2**31 - 1
 # The fields that trajectories on one lane do not have.
@@ -43,7 +46,7 @@ def stamp_ns(time_s: float) -> int:
 
 
 def messages(trajectories: DenseTracks) -> Iterator[tuple[str, int, bytes]]:
-    """One road as messages: one Road, then one MeasuredPositions for each time.
+    """One road as messages: one Road, the controlled vehicles if there are any, one MeasuredPositions for each time.
 
     A vehicle is in a message while it is on the road.
 
@@ -67,6 +70,10 @@ def messages(trajectories: DenseTracks) -> Iterator[tuple[str, int, bytes]]:
             sha256=trajectories.sha256,
         ),
     )
+    if trajectories.controlled:
+        layout = {"dim": [], "data_offset": 0}
+        data = np.array(trajectories.controlled, dtype=np.int32)
+        yield CONTROLLED_TYPE, times[0], Encoder(CONTROLLED_TYPE)(CONTROLLED_TYPE, layout=layout, data=data)
     vehicle = trajectories.vehicle.astype(np.int32)
     for step, (time, leader) in enumerate(zip(times, trajectories.leader, strict=True)):
         here = np.flatnonzero(trajectories.present[step])
@@ -87,6 +94,19 @@ def messages(trajectories: DenseTracks) -> Iterator[tuple[str, int, bytes]]:
         )
 
 
+def channels_of(bag: "BagWriter", trajectories: DenseTracks) -> dict[str, int]:
+    """Announce the topics of ``messages`` in a bag; returns the number of each for ``BagWriter.write``, by its type."""
+    from sugiyama_ros.formats.mcap_writer import LATCHED_TOPIC, Qos
+
+    channels = {
+        ROAD_TYPE: bag.topic("/road", ROAD_TYPE, LATCHED_TOPIC),
+        MEASURED_TYPE: bag.topic("/measured", MEASURED_TYPE, Qos()),
+    }
+    if trajectories.controlled:
+        channels[CONTROLLED_TYPE] = bag.topic(f"/{CONTROLLED}", CONTROLLED_TYPE, LATCHED_TOPIC)
+    return channels
+
+
 def _read_measured(path: Path, choices: Choices) -> Tracks:
     """Read tracks from a bag with one ``road`` and one ``measured`` topic, in any namespace. Raises InputError."""
     from sugiyama_ros.formats.mcap_reader import Bag
@@ -103,7 +123,7 @@ def _read_measured(path: Path, choices: Choices) -> Tracks:
 
 
 def _topics(bag: "Bag") -> dict[str, str]:
-    """The types of the two topics, by name. Raises InputError unless there is one of each."""
+    """The types of the topics, by name. Raises InputError unless there is one ``road`` and one ``measured``."""
     about, topics = bag.info().topics, {}
     for name, kind in (("road", ROAD_TYPE), ("measured", MEASURED_TYPE)):
         found = [t.name for t in about if t.name.split("/")[-1] == name and t.type == kind and t.count]
@@ -112,11 +132,12 @@ def _topics(bag: "Bag") -> dict[str, str]:
             seen = "" if found else "; vehicles on other topics are read by `sugiyama convert` with --odometry"
             raise InputError(f"{bag.path}: {have} `{name}` with messages of {kind}; give a bag with exactly one{seen}")
         topics[found[0]] = kind
-    return topics
+    space = found[0].removesuffix("measured")
+    return topics | {t.name: t.type for t in about if (t.name, t.type) == (space + CONTROLLED, CONTROLLED_TYPE)}
 
 
 def _collected(bag: "Bag", topics: dict[str, str], choices: Choices) -> Tracks:
-    """Tracks from the messages on two topics, given by name with their types."""
+    """Tracks from the messages on topics, given by name with their types."""
     path = bag.path
     road: Any = None
     columns = _Columns(path)
@@ -124,6 +145,8 @@ def _collected(bag: "Bag", topics: dict[str, str], choices: Choices) -> Tracks:
         content = message.message
         if topics[message.topic] == MEASURED_TYPE:
             columns.add(content)
+        elif topics[message.topic] == CONTROLLED_TYPE:
+            columns.controlled.update(content.data.tolist())
         elif road is None:
             road = _checked(content)
         elif (road.circumference_m, road.period_s) != (content.circumference_m, content.period_s):
@@ -166,6 +189,8 @@ class _Columns:
         self._first: tuple[int, float] | None = None
         self._last_step = -1
         self._last_s = 0.0
+        #: Numbers of the vehicles that a controller drives.
+        self.controlled: set[int] = set()
 
     def add(self, message: Any) -> None:
         """Take in one message."""
@@ -208,12 +233,15 @@ class _Columns:
                 " the publisher is faulty"
             )
         column = np.frombuffer(self._column, dtype=np.int64)
-        columns: Columns = {
-            "vehicle": numbered(np.array(list(self._number))[column]),
+        vehicle = np.array(list(self._number))[column]
+        columns: dict[str, Column] = {
+            "vehicle": numbered(vehicle),
             "time_s": first_s + about.period_s * np.frombuffer(self._row, dtype=np.int64),
             "s_m": np.frombuffer(self._position),
             "length_m": np.array(list(self._length.values()))[column],
         }
+        if self.controlled:
+            columns["controlled"] = np.isin(vehicle, list(self.controlled))
         return assemble(columns, about, checked=False)
 
 

@@ -90,15 +90,19 @@ def _tracks_of_sheet(sheet: Sheet, choices: Choices, about: About) -> Tracks:
 
 
 def write_csv(road: DenseTracks, target: Target) -> None:
-    """Write one road as CSV; missing samples have an empty position. Raises OutputError."""
+    """Write one road as CSV; missing samples have an empty position. Raises OutputError.
+
+    There is a column ``controlled`` if a controller drives some vehicle.
+    """
     with writing(target) as stream:
-        stream.write(b"time_s,vehicle,position_m,length_m\n")
+        stream.write(f"time_s,vehicle,position_m,length_m{',controlled' * bool(road.controlled)}\n".encode())
         vehicles = list(zip(road.vehicle.tolist(), road.length_m.tolist(), strict=True))
         for time, positions, present in zip(road.time_s.tolist(), road.position_m, road.present, strict=True):
             for column in np.flatnonzero(present):
                 vehicle, length = vehicles[column]
                 position = "" if np.isnan(positions[column]) else repr(float(positions[column]))
-                stream.write(f"{time!r},{vehicle},{position},{length!r}\n".encode())
+                flag = f",{int(vehicle in road.controlled)}" if road.controlled else ""
+                stream.write(f"{time!r},{vehicle},{position},{length!r}{flag}\n".encode())
 
 
 def _recognise(head: bytes, path: Path) -> bool:

@@ -11,7 +11,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.files import Target
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.mcap_writer import LATCHED_TOPIC, BagWriter, Qos
-from sugiyama_ros.formats.measured import FRAME, MEASURED_TYPE, ROAD_TYPE, messages, stamp_ns
+from sugiyama_ros.formats.measured import FRAME, MEASURED_TYPE, channels_of, messages, stamp_ns
 from sugiyama_ros.trajectories.dense import MAX_SAMPLES, DenseTracks
 from sugiyama_ros.trajectories.truth import TrueDriver, Truth
 
@@ -41,18 +41,18 @@ def write_simulated(trajectories: DenseTracks, truth: Truth, target: Target) -> 
 
     encode = Encoder(PARAMETERS_TYPE)
     with BagWriter(target, {"source": trajectories.source, "sha256": trajectories.sha256}) as bag:
-        road = bag.topic("/road", ROAD_TYPE, LATCHED_TOPIC)
-        measured = bag.topic("/measured", MEASURED_TYPE, Qos())
+        channels = channels_of(bag, trajectories)
         vehicles = truth.vehicle.tolist()
         true = {v: bag.topic(f"/{namespace(v)}/truth", TRUTH_TYPE, Qos()) for v in vehicles}
-        drives = {v: bag.topic(f"/{namespace(v)}/true_parameters", PARAMETERS_TYPE, LATCHED_TOPIC) for v in vehicles}
+        driven = [v for v in vehicles if v not in trajectories.controlled]
+        drives = {v: bag.topic(f"/{namespace(v)}/true_parameters", PARAMETERS_TYPE, LATCHED_TOPIC) for v in driven}
         for drive in truth.drivers:
             stamp = stamp_ns(drive.time_s)
             data = encode(PARAMETERS_TYPE, **parameters_fields(stamp, drive))
             bag.write(drives[drive.vehicle], data, stamp, stamp)
         step = 0
         for type_name, stamp, data in messages(trajectories):
-            bag.write(road if type_name == ROAD_TYPE else measured, data, stamp, stamp)
+            bag.write(channels[type_name], data, stamp, stamp)
             if type_name != MEASURED_TYPE:
                 continue
             motion = np.stack(

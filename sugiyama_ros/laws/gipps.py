@@ -4,8 +4,20 @@ import math
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
-from sugiyama_ros.jit import kernel
+from sugiyama_ros.jit import in_python_too, kernel
 from sugiyama_ros.laws.law import Law, bounded
+
+
+@in_python_too
+def safe_speed(room: float, speed: float, leader_speed: float, tau: float, b: float, b_leader: float) -> float:
+    """Compute the speed [m/s] from which a driver can still stop within the room [m] behind the leader.
+
+    room: gap less the gap at standstill [m]; speed: own speed [m/s], not below 0; tau: reaction time [s]; b, b_leader:
+    braking [m/s^2] of the driver and of the leader.
+    """
+    reach = b * tau
+    square = reach * reach + b * (2.0 * room - speed * tau + leader_speed * abs(leader_speed) / b_leader)
+    return max(math.sqrt(square) - reach, 0.0) if square > 0.0 else 0.0
 
 
 @kernel
@@ -21,9 +33,7 @@ def _gipps(gap: float, speed: float, leader_speed: float, p: Array) -> float:
     free = own + 2.5 * p[1] * p[4] * (1.0 - share) * math.sqrt(0.025 + share)
     if gap == math.inf:
         return bounded((free - speed) / p[4])
-    reach = p[2] * p[4]
-    square = reach * reach + p[2] * (2.0 * (gap - p[5]) - own * p[4] + leader_speed * abs(leader_speed) / p[3])
-    safe = max(math.sqrt(square) - reach, 0.0) if square > 0.0 else 0.0
+    safe = safe_speed(gap - p[5], own, leader_speed, p[4], p[2], p[3])
     return bounded((min(free, safe) - speed) / p[4])
 
 

@@ -65,7 +65,7 @@ class Critic(PacedNode):
         self._to_verdict = self.create_publisher(Verdict, "verdict", STREAM)
         self.create_service(AddEffect, "~/add_effect", self._on_add_effect)
         self.listen(DriverArray, "drivers", self._on_drivers, STREAM)
-        RoadFeed(self, self._on_road, self._take_in)
+        self._feed = RoadFeed(self, self._on_road, self._take_in)
 
     def health(self) -> Health:
         """ERROR after a failure of a filter, WARN without a road."""
@@ -119,7 +119,7 @@ class Critic(PacedNode):
     def _meet_and_leave(self, sample: Sample, bank: Bank) -> None:
         """Follow the drivers in view of whom it is known whom they follow, and nobody else."""
         for vehicle, place in sample.place.items():
-            if sample.leader[place] != UNKNOWN_LEADER:
+            if sample.leader[place] != UNKNOWN_LEADER and vehicle not in self._feed.controlled:
                 if vehicle not in self._chains:
                     bank.meet(vehicle)
                     self._listen_to(vehicle)

@@ -79,10 +79,10 @@ class Told:
 class DriversNode(LifecycleNodeMixin, PacedNode):
     """Follows the drivers of some vehicles, whether they are in view or not, or every driver in view.
 
-    A driver in view gets a filter at first sight, which is retired some time after the last. A late sample is sorted
-    in. A sample whose stamp came before, or that comes too late, is left out. After a jump in time, the filters forget
-    where the vehicles are, and keep what they have learnt. The node configures and activates itself, unless
-    ``autostart`` is false: then a lifecycle manager does.
+    A driver in view gets a filter at first sight, which is retired some time after the last. A vehicle that is
+    ``controlled`` has no driver. A late sample is sorted in. A sample whose stamp came before, or that comes too late,
+    is left out. After a jump in time, the filters forget where the vehicles are, and keep what they have learnt. The
+    node configures and activates itself, unless ``autostart`` is false: then a lifecycle manager does.
 
     Parameters of the node: ``vehicles``; the parameters of a driver, ``model`` and ``law``, of which a parameter that
     is given or set holds for all drivers; ``adapt``, ``engine``, ``save_state``, ``resume``, ``ask_keeper``,
@@ -254,7 +254,10 @@ class DriversNode(LifecycleNodeMixin, PacedNode):
         """Take in a sample that is next, or late, and publish what follows from it about each driver."""
         self._left_out.clear()
         known, missing = [], False
+        controlled = self._feed.controlled if self._feed is not None else frozenset()
         for vehicle in self._only or sample.place:
+            if vehicle in controlled:
+                continue
             driver = self.drivers.get(vehicle)
             if driver is None and late:
                 continue

@@ -1,10 +1,10 @@
 """What a run consists of: names and parameters of its nodes, and the topics with one message a step."""
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from sugiyama_ros.driver.parameters import NAMES, population
 from sugiyama_ros.errors import InputError
@@ -31,6 +31,7 @@ class FromSimulator:
 
     source = "adaptiveSeek"
     sha256 = ""
+    controlled: ClassVar[Sequence[int]] = ()
 
     @property
     def vehicle(self) -> list[int]:
@@ -110,8 +111,8 @@ class Plan:
 
     @property
     def vehicles(self) -> list[int]:
-        """Numbers of the vehicles, in their order."""
-        return sorted(self.source.vehicle)
+        """Numbers of the vehicles that have drivers, in their order."""
+        return sorted(set(self.source.vehicle) - set(self.source.controlled))
 
     @property
     def vehicles_with_topics(self) -> list[int]:

@@ -38,7 +38,7 @@ class RecordedPositions:
         self.road, self.period_s, self.start_s, self.steps = t.road, t.period_s, t.start_s, len(t.position_m)
         self.source, self.sha256 = t.source, t.sha256
         self.trajectories = t
-        self.vehicle = t.vehicle.tolist()
+        self.vehicle, self.controlled = t.vehicle.tolist(), t.controlled
         self._leader = np.where(t.leader >= 0, t.vehicle[t.leader], -1)
         self.true_vehicles: list[int] = [] if truth is None else truth.vehicle.tolist()
 
@@ -69,6 +69,7 @@ class TrackSamples:
         step, self.start_s = _steps(tracks, self.period_s)
         self.steps = int(step.max(initial=-1)) + 1
         self.vehicle, self.true_vehicles = _numbers(tracks), list[int]()
+        self.controlled = np.array(self.vehicle)[tracks.controlled_runs].tolist()
         given = {number: tracks.run_name(run) for run, number in enumerate(self.vehicle)}
         self.names = {} if all(str(number) == name for number, name in given.items()) else given
         order = np.argsort(step, kind="stable")

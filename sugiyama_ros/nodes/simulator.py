@@ -9,6 +9,7 @@ from rclpy.parameter import Parameter as RosParameter
 from sugiyama_msgs.srv import SetDriver
 
 from sugiyama_ros.arrays import Array
+from sugiyama_ros.controllers.registry import controlled_by
 from sugiyama_ros.driver.parameters import COUNT, NAMES, defaults
 from sugiyama_ros.effects.registry import ROW, read_effect
 from sugiyama_ros.errors import InputError
@@ -36,7 +37,7 @@ class _SimulatedPositions:
     def __init__(self, simulator: Simulator, steps: int) -> None:
         self.simulator = simulator
         self.road, self.period_s = simulator.road, simulator.period_s
-        self.steps = steps
+        self.steps, self.controlled = steps, simulator.controlled
         self.collisions = 0
 
     def at(self, step: int) -> Positions:
@@ -58,7 +59,7 @@ class SimulatorNode(Source):
     The drivers are those of the file ``model``, or else drivers as in the paper. A parameter of a driver that is given
     at the start, or set later, holds for all drivers; the service ``~/set_driver`` changes one of them. Other
     parameters of the node: ``vehicles``, ``ring``, ``start``, ``start_gap``, ``lengths``, ``period``, ``duration``,
-    ``spread``, ``effects``, ``seed``, and the parameters of `Source`.
+    ``spread``, ``effects``, ``seed``, ``controlled``, ``controller``, and the parameters of `Source`.
     """
 
     samples: _SimulatedPositions
@@ -92,7 +93,11 @@ class SimulatorNode(Source):
         texts = self.texts("effects", "NAME:PARAMETER=VALUE[,...], each")
         effects = dict(read_effect(text, "effects") for text in texts)
         rows = changed(self._drivers(vehicles, model), {}, effects)
-        return _SimulatedPositions(set_up(experiment, rows), experiment.samples if experiment.duration_s else 0)
+        numbers = option("controlled", [-1], "numbers of vehicles that the controller drives; -1: none")
+        controller = option("controller", "", "NAME[:KEY=VALUE[,...]]: what drives the controlled vehicles")
+        controlled = controlled_by([v for v in numbers if v >= 0] or None, controller or None)
+        steps = experiment.samples if experiment.duration_s else 0
+        return _SimulatedPositions(set_up(experiment, rows, controlled), steps)
 
     def send_more(self, stamp_ns: int) -> None:
         """Send the truth."""
@@ -131,6 +136,8 @@ class SimulatorNode(Source):
         try:
             if not 0 <= vehicle < len(s.length_m):
                 raise RefusedError(f"vehicle {vehicle}: not on the road; give 0 to {len(s.length_m) - 1}")
+            if vehicle in s.controlled:
+                raise RefusedError(f"vehicle {vehicle}: a controller drives it; give the number of a driver")
             values = incoming.named_values(f"vehicle {vehicle}", request.name, request.value)
             rows = s.drivers.copy()
             rows[vehicle] = _changed_driver(rows[vehicle], values)
@@ -143,7 +150,7 @@ class SimulatorNode(Source):
     def _tell_drivers(self, vehicles: Sequence[int]) -> None:
         """Tell with which parameters some drivers drive from the next sample on."""
         time_s = self.samples.start_s + self.next_step * self.samples.period_s
-        for vehicle in vehicles:
+        for vehicle in set(vehicles) - set(self.samples.controlled):
             drive = TrueDriver(time_s, vehicle, parameters_of(self.samples.simulator.drivers[vehicle]))
             self._truth.send_parameters(round(time_s * NS), drive)
 

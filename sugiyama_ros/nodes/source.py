@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
-from std_msgs.msg import ColorRGBA
+from std_msgs.msg import ColorRGBA, Int32MultiArray
 from std_srvs.srv import Trigger
 from sugiyama_msgs.msg import MeasuredPositions, Progress, TrueParameters, Truth
 from sugiyama_msgs.msg import Road as RoadMessage
@@ -21,7 +21,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.measured import FRAME
+from sugiyama_ros.formats.measured import CONTROLLED, FRAME
 from sugiyama_ros.formats.truth import namespace, truth_message
 from sugiyama_ros.nodes.base import cdr_messages, environment
 from sugiyama_ros.nodes.base.cdr_messages import NS, time_message
@@ -52,7 +52,7 @@ _DTYPES = {"sec": "<i4", "nanosec": "<u4", "id": "<i4", **dict.fromkeys(_REAL, "
 
 
 class Source(PacedNode):
-    """Publishes samples as ``road``, ``measured``, ``/clock`` and ``markers``.
+    """Publishes samples as ``road``, ``measured``, ``/clock`` and ``markers``; and ``controlled`` if some vehicles are.
 
     The source is at most WINDOW steps ahead of the slowest subscriber that reports its progress. It no longer waits for
     a subscriber that is silent for 10 s. If it waits for a recorder, it sends nothing before the recorder hears every
@@ -84,6 +84,11 @@ class Source(PacedNode):
         self._awake_s = 0.0
         self._ticked_s = time.monotonic()
         self._to_road = self.create_publisher(RoadMessage, "road", LATCHED)
+        if self.samples.controlled:
+            self.send(
+                self.create_publisher(Int32MultiArray, CONTROLLED, LATCHED),
+                Int32MultiArray(data=self.samples.controlled),
+            )
         self._to_measured = self.create_publisher(MeasuredPositions, "measured", STREAM)
         self._to_clock = self.create_publisher(Clock, "/clock", STREAM)
         self._to_markers = self.create_publisher(MarkerArray, "markers", STREAM)

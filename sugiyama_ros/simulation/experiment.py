@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sugiyama_ros.arrays import Array
+from sugiyama_ros.controllers.controller import Controlled
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, index
 from sugiyama_ros.effects.registry import switch_on
 from sugiyama_ros.errors import InputError
@@ -86,8 +87,11 @@ class Experiment:
             )
 
 
-def set_up(experiment: Experiment, rows: Array) -> Simulator:
-    """Put the vehicles of an experiment at their start; rows (N, width) at the reference period. Raises InputError."""
+def set_up(experiment: Experiment, rows: Array, controlled: Controlled | None = None) -> Simulator:
+    """Put the vehicles of an experiment at their start; rows (N, width) at the reference period. Raises InputError.
+
+    controlled: vehicles that a controller drives.
+    """
     experiment.check(len(rows))
     vehicles, rows = len(rows), rows.copy()
     rng = np.random.default_rng(experiment.seed)
@@ -102,7 +106,7 @@ def set_up(experiment: Experiment, rows: Array) -> Simulator:
             f" {needed_m:.0f} m; give a larger ring, smaller gaps or fewer vehicles"
         )
     clock = Clock(experiment.period_s, horizon=experiment.horizon)
-    return Simulator(rows, length_m, start_m, road, rng, clock=clock)
+    return Simulator(rows, length_m, start_m, road, rng, clock=clock, controlled=controlled)
 
 
 def spread_out(rows: Array, spread: float, rng: np.random.Generator) -> None:
@@ -112,9 +116,9 @@ def spread_out(rows: Array, spread: float, rng: np.random.Generator) -> None:
             rows[:, k] *= np.exp(spread * rng.standard_normal(len(rows)))
 
 
-def carry_out(experiment: Experiment, rows: Array) -> Simulation:
-    """Simulate an experiment; rows (N, width) at the reference period. Raises InputError."""
-    return simulate(set_up(experiment, rows), experiment.duration_s)
+def carry_out(experiment: Experiment, rows: Array, controlled: Controlled | None = None) -> Simulation:
+    """Simulate an experiment; arguments as for ``set_up``. Raises InputError."""
+    return simulate(set_up(experiment, rows, controlled), experiment.duration_s)
 
 
 def changed(rows: Array, parameters: Mapping[str, float], effects: Mapping[str, Mapping[str, float]]) -> Array:

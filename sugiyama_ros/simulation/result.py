@@ -70,6 +70,7 @@ class Simulation(Result):
         drives = tuple(
             TrueDriver(t.start_s, vehicle, parameters_of(row))
             for vehicle, row in zip(t.vehicle.tolist(), self.parameters, strict=True)
+            if vehicle not in t.controlled
         )
         return Truth(t.vehicle, t.time_s, self.position_m, self.speed, self.acceleration, gap_m, drives)
 

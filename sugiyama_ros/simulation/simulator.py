@@ -3,6 +3,7 @@
 The acceleration is the mean action plus an AR(1) noise: a_t = mean_action(s_t) + n_t with n_t = rho n_{t-1} + shock.
 The paper writes this as a_t = rho a_{t-1} + (mean_action_t - rho mean_action_{t-1}) + shock. Effects act on the mean
 action through ``effects.control``. Random effects draw from their own generator, so the other noises stay the same.
+A controller drives a vehicle without noise; all drivers draw the same random numbers, whoever is controlled.
 """
 
 from dataclasses import dataclass
@@ -10,7 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.driver.parameters import REFERENCE_PERIOD_S, at_period, check, horizon_at
+from sugiyama_ros.controllers.controller import Controlled
+from sugiyama_ros.driver.parameters import (
+    REFERENCE_PERIOD_S,
+    SIGMA_A,
+    SIGMA_V,
+    SIGMA_X,
+    at_period,
+    check,
+    horizon_at,
+)
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
@@ -44,7 +54,8 @@ class Simulator:
     parameters: (N, P) or (N, width), parameters of the drivers at the reference period, or their rows with effects;
     length_m, position_m: (N,), lengths [m], and positions [m] of the centres at the start, which increase and lie
     within one circumference; road: the road; rng: generator of all noises; speed: (N,), speeds [m/s] at the start; 0 if
-    left out; clock: times of the simulation. Raises InputError.
+    left out; clock: times of the simulation; controlled: vehicles that a controller drives in place of their drivers.
+    Raises InputError.
     """
 
     def __init__(
@@ -57,6 +68,7 @@ class Simulator:
         *,
         speed: Array | None = None,
         clock: Clock = REFERENCE_CLOCK,
+        controlled: Controlled | None = None,
     ) -> None:
         check(parameters)
         vehicles = len(length_m)
@@ -67,8 +79,15 @@ class Simulator:
         self.road = road
         self.period_s = clock.period_s
         self.horizon = horizon_at(clock.period_s) if clock.horizon is None else clock.horizon
-        self.drivers = ROW.with_effects(parameters).copy()
-        self.parameters = at_period(self.drivers, clock.period_s)
+        self._controlled = controlled
+        #: Numbers of the vehicles that a controller drives.
+        self.controlled: tuple[int, ...] = () if controlled is None else controlled.vehicles
+        if wrong := [i for i in self.controlled if not 0 <= i < vehicles]:
+            raise InputError(
+                f"controlled: vehicle {wrong[0]} is not on the road; give numbers from 0 to {vehicles - 1}"
+            )
+        self._memories = () if controlled is None else controlled.memories(clock.period_s)
+        self._let_drive(ROW.with_effects(parameters))
         self.length_m = length_m.astype(np.float64)
         self.leader: Ints = np.arange(1, vehicles + 1)
         self.leader[-1] = 0 if road.is_ring and vehicles > 1 else -1
@@ -111,9 +130,14 @@ class Simulator:
         Raises InputError for a parameter out of bounds; the drivers drive on as before then.
         """
         check(drivers)
-        self.drivers = drivers.copy()
-        self.parameters = at_period(self.drivers, self.period_s)
+        self._let_drive(drivers)
         self._look_back()
+
+    def _let_drive(self, drivers: Array) -> None:
+        """Let drivers drive by rows (N, width) at the reference period; a controlled vehicle moves without noise."""
+        self.drivers = drivers.copy()
+        self.drivers[np.ix_(self.controlled, [SIGMA_A, SIGMA_X, SIGMA_V])] = 0.0
+        self.parameters = at_period(self.drivers, self.period_s)
 
     def _look_back(self) -> None:
         """Keep as much of the past as the drivers look back; before what is known, every vehicle kept its speed."""
@@ -158,6 +182,17 @@ class Simulator:
         drive(self._traffic, self._order, rows, ACTIONS, time, setting, held, pushed)
         self.held = held
         self.acceleration = held + pushed + self.noise
+        if self._controlled is not None:
+            self._control(self._controlled)
+
+    def _control(self, controlled: Controlled) -> None:
+        """Let controllers choose the accelerations of their vehicles, whatever pushes these."""
+        traffic, order = self._traffic, self._order
+        for i, memory in zip(controlled.vehicles, self._memories, strict=True):
+            gap, leader_speed = see(i, self.leader[i], traffic, order)
+            seen = gap, float(self.speed[i]), leader_speed
+            self.acceleration[i] = controlled.controller.function(*seen, memory, self.period_s, controlled.values)
+            self.held[i] = self.acceleration[i]
 
 
 def platoon(length_m: Array, gap_m: float) -> Array:
@@ -209,6 +244,7 @@ def simulate(simulator: Simulator, duration_s: float, *, stop_at_collision: bool
             period_s=simulator.period_s,
             start_s=simulator.start_s,
             source="adaptiveSeek",
+            controlled=simulator.controlled,
         ),
         parameters=simulator.drivers,
         position_m=simulator.road.wrap(position[:taken]),

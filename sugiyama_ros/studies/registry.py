@@ -31,6 +31,7 @@ STUDIES: Mapping[str, Study] = plugins.registered(
         "online",
         "style_change",
         "filters",
+        "controlled",
     ),
     "STUDY",
 )

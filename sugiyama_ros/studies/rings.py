@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from sugiyama_ros.arrays import Array
+from sugiyama_ros.controllers.controller import Controlled
 from sugiyama_ros.driver.parameters import SIGMA_A, defaults
 from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.errors import InputError
@@ -35,7 +36,8 @@ class Ring:
     drivers: (N, P), parameters of the drivers; seed: seed of the random generator; jammed: whether the cars start as a
     platoon; otherwise they start with equal gaps; ring_m: circumference of the ring [m]; length_m: (N,), length of the
     cars [m]; period_s, duration_s: time between two samples, and duration of the run [s]; queue_speed: speed [m/s]
-    below which a car is in a queue; jam_gap_m: gap [m] between cars that start out of a jam.
+    below which a car is in a queue; jam_gap_m: gap [m] between cars that start out of a jam; controlled: cars that a
+    controller drives.
     """
 
     drivers: Array
@@ -47,20 +49,26 @@ class Ring:
     duration_s: float = _DURATION_S
     queue_speed: float = QUEUE_SPEED
     jam_gap_m: float = JAM_GAP_M
+    controlled: Controlled | None = None
 
 
 @dataclass(frozen=True)
-class _Outcome:
+class Outcome:
     """What happens in the last part of a run.
 
     road: collective measures of all vehicles; wave: whether there is a wave, and no collision; collided: whether cars
-    collide; flow_per_h: vehicles that pass a point in an hour [1/h].
+    collide; flow_per_h: vehicles that pass a point in an hour [1/h]; speed_std: standard deviation of the speeds over
+    all vehicles and times [m/s]; kinetic: positive kinetic energy, the energy per mass that all cars together take up
+    when they accelerate, per distance [m/s^2]; by_controlled: whether a controlled car has run into its leader.
     """
 
     road: Collective
     wave: bool
     collided: bool
     flow_per_h: float
+    speed_std: float
+    kinetic: float
+    by_controlled: bool
 
 
 def run(ring: Ring) -> Simulation:
@@ -74,7 +82,7 @@ def run(ring: Ring) -> Simulation:
         start="jam" if ring.jammed else "equal",
         length_m=tuple(np.broadcast_to(ring.length_m, len(ring.drivers)).tolist()),
     )
-    return carry_out(experiment, ring.drivers)
+    return carry_out(experiment, ring.drivers, ring.controlled)
 
 
 def jams(spread: Mapping[int, float], runs: int, seed: int, duration_s: float) -> Iterator[Simulation]:
@@ -96,8 +104,14 @@ def jams(spread: Mapping[int, float], runs: int, seed: int, duration_s: float) -
         raise InputError(f"study: cars collide in all simulated runs ({runs}); give more --runs, or another --seed")
 
 
-def outcome(ring: Ring) -> _Outcome:
-    """Simulate one ring and evaluate the last part of the run."""
+def outcome(ring: Ring) -> Outcome:
+    """Simulate one ring and evaluate the last part of the run.
+
+    References
+    ----------
+    Watson, Milkins, Preston, Chittleborough and Alimoradian, SAE Technical Paper 830435 (1983), for the positive
+    kinetic energy. Here it is worked out from accelerations, since the speeds of simulated drivers are noisy.
+    """
     s = run(ring)
     last = max(2, round(_LAST_S / ring.period_s))
     speed, position = s.speed[-last:], s.position_m[-last:]
@@ -106,7 +120,10 @@ def outcome(ring: Ring) -> _Outcome:
     road = collective(speed, headway, leader, ring.period_s, ring.queue_speed)
     wave = road.least_speed < _SLOW * road.largest_speed
     flow = 3600.0 * len(ring.drivers) / ring.ring_m * road.mean_speed
-    return _Outcome(road, wave and not s.collisions, bool(s.collisions), flow)
+    kinetic = 2.0 * np.mean(speed * np.maximum(s.acceleration[-last:], 0.0)) / np.mean(speed)
+    by_controlled = any(c.vehicle in s.dense.controlled for c in s.collisions)
+    collided = bool(s.collisions)
+    return Outcome(road, wave and not collided, collided, flow, float(speed.std()), float(kinetic), by_controlled)
 
 
 def estimated(asked: Asked, factor: float = FACTOR, full_noise_at: float = 0.0) -> Array:
@@ -134,7 +151,7 @@ def mean(values: Array | Sequence[float]) -> float:
     return float(finite.mean()) if len(finite) else float("nan")
 
 
-def summed_up(found: Sequence[_Outcome]) -> dict[str, float]:
+def summed_up(found: Sequence[Outcome]) -> dict[str, float]:
     """Count runs with a wave and with a collision, and average the runs without a collision."""
     complete = [o for o in found if not o.collided]
     return {

@@ -38,6 +38,8 @@ class Asked:
         """The measured drivers. Raises InputError if there are none."""
         if self.trajectories is None:
             raise InputError("study: needs measured drivers; give a FILE of trajectories")
+        if self.trajectories.controlled:
+            raise InputError("study: a controller drives some of the vehicles; give a FILE of drivers alone")
         return self.trajectories
 
 

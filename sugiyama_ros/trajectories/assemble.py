@@ -41,6 +41,8 @@ _LATEST_S, _FARTHEST_M = 2.0**32, 3e8
 _BACKWARD_M = 10.0
 #: How a note begins that says how many of the given leaders are the next vehicles ahead.
 AGREES = "the next vehicle ahead is the given leader"
+# What a text of a column of flags says.
+_SAYS = {"1": 1.0, "true": 1.0, "yes": 1.0, "0": 0.0, "false": 0.0, "no": 0.0}
 #: Way [vehicle lengths] from the point of reference to the centre.
 _TO_CENTRE = {"front": -0.5, "centre": 0.0, "rear": 0.5}
 
@@ -51,9 +53,9 @@ def assemble(
     """Make tracks of columns.
 
     columns: (R,), ``vehicle``, ``time_s`` [s] and ``s_m`` [m]; perhaps ``recording``, ``road``, ``lane``, ``class``,
-    ``driver``, ``leader``, ``d_m``, ``length_m``, ``width_m`` [m] and ``measured``; rows may stand in any order;
-    positions are compared with ``speed`` [m/s] and, if its unit is not known, ``some_speed``, where they are given.
-    Raises InputError.
+    ``driver``, ``leader``, ``d_m``, ``length_m``, ``width_m`` [m], ``measured`` and ``controlled``; rows may stand in
+    any order; positions are compared with ``speed`` [m/s] and, if its unit is not known, ``some_speed``, where they are
+    given. Raises InputError.
     """
     table = _table(columns, about or About())
     for step in (_known, _sorted, _once, *([_in_usual_units] if checked else []), _lives):
@@ -79,6 +81,7 @@ def assemble(
         d_m=number.get("d_m"),
         width_m=number.get("width_m"),
         measured=number["measured"] != 0.0 if "measured" in number else None,
+        controlled=_in_whole_runs(number["controlled"] == 1.0, run) if "controlled" in number else None,
     )
     tracks = led(tracks, text.get("leader"), compared=checked)
     checks = (check_gaps, jumps_noted, wrong_ring) if checked else (wrong_ring,)
@@ -130,7 +133,9 @@ def _table(columns: Columns, about: About) -> _Table:
     text: dict[str, Labels] = {}
     number: dict[str, Array] = {}
     for name, column in columns.items():
-        if isinstance(column, Labels):
+        if name == "controlled" and isinstance(column, Labels):
+            number[name] = _yes_or_no(column, about)
+        elif isinstance(column, Labels):
             text[name] = labels(column.code, column.text)
         elif name in (*TEXTS, "leader"):
             array = np.asarray(column)
@@ -144,6 +149,22 @@ def _table(columns: Columns, about: About) -> _Table:
     if "leader" in text:
         text["leader"] = matched(text["leader"], text["vehicle"])
     return _Table(text, number, about)
+
+
+def _yes_or_no(column: Labels, about: About) -> Array:
+    """1 where a text says yes, else 0, (R,). Raises InputError for a text that says neither."""
+    found = [_SAYS.get(text.lower()) for text in column.text]
+    if None in found:
+        raise InputError(
+            f"{about.source or 'tracks'}: column controlled: {column.text[found.index(None)][:40]!r} says neither yes"
+            " nor no; give 1 or 0"
+        )
+    return np.array([*found, 0.0], dtype=np.float64)[column.code]
+
+
+def _in_whole_runs(flag: Mask, run: Ints) -> Mask:
+    """A flag (R,) in all rows of each run that has it in some row."""
+    return np.asarray(np.bincount(run, weights=flag)[run] > 0.0)
 
 
 def _known(table: _Table) -> _Table:

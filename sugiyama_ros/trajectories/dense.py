@@ -15,7 +15,7 @@ from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.about import About
-from sugiyama_ros.trajectories.assemble import Columns, assemble
+from sugiyama_ros.trajectories.assemble import Column, assemble
 from sugiyama_ros.trajectories.jumps import jumps_noted
 from sugiyama_ros.trajectories.labels import Labels, numbered
 from sugiyama_ros.trajectories.leaders import LEAST_AGREEMENT, agreement
@@ -55,6 +55,8 @@ class DenseTracks:
         Time [s] of the first sample.
     source, sha256 : str
         Name and checksum of the file that the positions come from; empty if there is no file.
+    controlled : tuple of int
+        Numbers of the vehicles that a controller drives.
 
     Raises
     ------
@@ -70,6 +72,7 @@ class DenseTracks:
     start_s: float = 0.0
     source: str = ""
     sha256: str = ""
+    controlled: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         samples, vehicles = self.position_m.shape
@@ -218,15 +221,17 @@ def dense(tracks: Tracks, where: str = "") -> DenseTracks:
     position = np.full((samples, regular.runs), np.nan)
     position[step, regular.run] = regular.s_m
     road = Road(regular.about.ring_m)
+    number = numbers_of(regular)
     found = DenseTracks(
         position_m=road.wrap(position),
         length_m=regular.length_m[regular.start[:-1]],
-        vehicle=numbers_of(regular),
+        vehicle=number,
         road=road,
         period_s=period,
         start_s=start,
         source=tracks.about.source,
         sha256=tracks.about.sha256,
+        controlled=tuple(number[regular.controlled_runs].tolist()),
     )
     if not _is_in_view(tracks):
         _check_leaders(regular, found, step, where)
@@ -250,6 +255,15 @@ def whole_road(tracks: Tracks) -> DenseTracks | None:
         _check_order(road, where)
         check_jumps(tracks, where)
     return road if in_view or road.present.mean() >= _PRESENT else None
+
+
+def road_of_drivers(tracks: Tracks) -> DenseTracks | None:
+    """Tracks as ``whole_road``, if nobody there is controlled: the others then follow vehicles as these were measured.
+
+    Raises InputError as ``whole_road``.
+    """
+    road = whole_road(tracks)
+    return None if road is None or road.controlled else road
 
 
 def one_road(tracks: Tracks, where: str = "") -> DenseTracks:
@@ -371,10 +385,12 @@ def tracks_of(road: DenseTracks) -> Tracks:
         source=road.source,
         sha256=road.sha256,
     )
-    columns: Columns = {
+    columns: dict[str, Column] = {
         "vehicle": numbered(road.vehicle[column]),
         "time_s": road.time_s[step],
         "s_m": road.position_m[step, column],
         "length_m": road.length_m[column],
     }
+    if road.controlled:
+        columns["controlled"] = np.isin(road.vehicle[column], road.controlled)
     return assemble(columns, about, checked=False)

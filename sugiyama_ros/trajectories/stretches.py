@@ -55,7 +55,7 @@ class Stretch:
 
 
 def stretches(tracks: Tracks, shortest_s: float = SHORTEST_STRETCH_S) -> Iterator[Stretch]:
-    """Cut tracks into stretches.
+    """Cut the tracks of drivers into stretches; who is controlled is no driver.
 
     A hole of more than 0.5 s ends a stretch, and so do another road and a leader who is unknown for a second or more:
     an unknown leader is not a free road. Where the leader's leader is known in four fifths of a stretch, the rest is
@@ -66,7 +66,8 @@ def stretches(tracks: Tracks, shortest_s: float = SHORTEST_STRETCH_S) -> Iterato
     regular = on_time_base(tracks)
     cutter = _Cutter(regular)
     for first, last in pairwise(pieces(regular, max(LONGEST_HOLE_S, 1.5 * period_of(regular))).tolist()):
-        yield from cutter.cut(int(regular.run[first]), first, last, shortest_s)
+        if not regular.controlled_runs[regular.run[first]]:
+            yield from cutter.cut(int(regular.run[first]), first, last, shortest_s)
 
 
 class _Cutter:

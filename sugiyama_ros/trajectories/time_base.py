@@ -12,7 +12,7 @@ from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.assemble import led
 from sugiyama_ros.trajectories.labels import Labels
 from sugiyama_ros.trajectories.leaders import TICK_S, check_gaps, given_leaders, ticks
-from sugiyama_ros.trajectories.tracks import NUMBERS, TEXTS, Tracks, starts
+from sugiyama_ros.trajectories.tracks import FLAGS, NUMBERS, TEXTS, Tracks, starts
 
 _RESAMPLE = "sugiyama convert FILE even.parquet --period SECONDS"
 #: A hole [s] up to which positions are interpolated; a longer hole ends a stretch.
@@ -186,7 +186,7 @@ def resample(tracks: Tracks, period_s: float) -> Tracks:
     about = replace(tracks.about, period_s=0.0)
     about = about.noting(f"positions were estimated at multiples of {period_s:g} s from samples of {own:.3g} s")
     kept: dict[str, Labels | Array | Mask | None] = {}
-    for name in (*TEXTS, *NUMBERS, "measured"):
+    for name in (*TEXTS, *NUMBERS, *FLAGS):
         column = tracks.column(name)
         kept["vehicle_class" if name == "class" else name] = None if column is None else column[nearest]
     if tracks.d_m is not None:

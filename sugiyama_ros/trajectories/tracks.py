@@ -26,6 +26,8 @@ FREE, UNKNOWN = -1, -2
 #: Names of the columns of text and of numbers, in the order of a file.
 TEXTS = ("recording", "vehicle", "road", "lane", "class", "driver")
 NUMBERS = ("time_s", "s_m", "d_m", "length_m", "width_m")
+#: Names of the columns that say yes or no.
+FLAGS = ("measured", "controlled")
 _REQUIRED = ("recording", "vehicle", "time_s", "s_m")
 #: What the column ``leader`` of a file says where nobody is ahead. It is empty where the leader is not known.
 NOBODY = "free"
@@ -58,6 +60,9 @@ class Tracks(Result):
         Position [m] across the road, and width [m] of the vehicle.
     measured : ndarray of bool, shape (R,), optional
         Whether the row was measured, not filled in.
+    controlled : ndarray of bool, shape (R,), optional
+        Whether a controller drives the vehicle, the same in all rows of a run. Such a vehicle leads drivers, but has
+        none.
 
     Examples
     --------
@@ -86,6 +91,7 @@ class Tracks(Result):
     d_m: Array | None = None
     width_m: Array | None = None
     measured: Mask | None = None
+    controlled: Mask | None = None
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -107,6 +113,13 @@ class Tracks(Result):
         code = np.where(self.leader_row >= 0, ahead, np.where(self.leader_row == FREE, len(self.vehicle.text), -1))
         return Labels(code.astype(np.int32), (*self.vehicle.text, NOBODY))
 
+    @cached_property
+    def controlled_runs(self) -> Mask:
+        """Whether a controller drives the vehicle of each run, shape (V,)."""
+        if self.controlled is None:
+            return np.zeros(self.runs, dtype=bool)
+        return self.controlled[self.start[:-1]]
+
     @property
     def leaders_known(self) -> float:
         """Share of the rows whose leader is in the table, or who have a free road."""
@@ -118,6 +131,11 @@ class Tracks(Result):
         recording = self.recording.at(row)
         return self.vehicle.at(row) + (f" of recording {recording}" if len(self.recording.text) > 1 else "")
 
+    @property
+    def controlled_names(self) -> list[str]:
+        """Names of the vehicles that a controller drives, as of `run_name`."""
+        return [self.run_name(run) for run in np.flatnonzero(self.controlled_runs).tolist()]
+
     def column(self, name: str) -> Labels | Array | Mask | None:
         """A column by its name in files; None for one that is not there."""
         found = getattr(self, "vehicle_class" if name == "class" else name)
@@ -126,7 +144,7 @@ class Tracks(Result):
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of the columns that are there, as in files."""
-        optional = ("road", "lane", "d_m", "length_m", "width_m", "class", "driver", "leader", "measured")
+        optional = ("road", "lane", "d_m", "length_m", "width_m", "class", "driver", "leader", *FLAGS)
         return (*_REQUIRED, *(name for name in optional if self.column(name) is not None))
 
     def select(self, rows: Mask) -> "Tracks":
@@ -144,7 +162,7 @@ class Tracks(Result):
         """
         new_row = np.where(rows, np.cumsum(rows) - 1, UNKNOWN)
         ahead = self.leader_row[rows]
-        kept = {name: None if (c := self.column(name)) is None else c[rows] for name in (*TEXTS, *NUMBERS, "measured")}
+        kept = {name: None if (c := self.column(name)) is None else c[rows] for name in (*TEXTS, *NUMBERS, *FLAGS)}
         kept["vehicle_class"] = kept.pop("class")
         start = starts(self.run[rows])
         leader_row = np.where(ahead >= 0, new_row[np.maximum(ahead, 0)], ahead)

@@ -42,6 +42,8 @@ GIVEN: Mapping[str, Mapping[str, Callable[[Path], object]]] = {
         "second.csv": lambda path: recordings.ring_csv(path, ring_m=105.0, duration_s=40.0, seed=2),
     },
 }
+#: Rooms that parts of one's own may be in.
+OWN_ROOMS = ("effects", "laws", "controllers", "formats", "studies")
 #: Pages about parts of one's own: they share one package, which is compiled once (test_own_parts.py).
 OWN_PARTS = tuple(f"docs/howto/{name}.md" for name in ("effect", "law", "format", "study"))
 #: Notebooks that `make docs` runs, which checks what they find.
@@ -166,7 +168,7 @@ def test_targets_and_files_that_pages_name_exist() -> None:
         for path in re.findall(
             r"`((?:test|docs|sugiyama_ros|benchmarks|layouts|launch|config|examples|\.ci)/[\w./]+)`", text
         ):
-            is_own = any(path.startswith(f"sugiyama_ros/{room}/") for room in ("effects", "laws", "formats", "studies"))
+            is_own = any(path.startswith(f"sugiyama_ros/{room}/") for room in OWN_ROOMS)
             is_example = name_of(page) in (*OWN_PARTS, "CONTRIBUTING.md")
             is_made = path.startswith("docs/_build/")
             assert (ROOT / path).exists() or is_made or (is_example and (is_own or path.startswith("test/unit/"))), (

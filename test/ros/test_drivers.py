@@ -11,6 +11,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Int32MultiArray
 from std_srvs.srv import Trigger
 from sugiyama_msgs.msg import DriverArray, MeasuredPositions
 from sugiyama_msgs.msg import Road as RoadMessage
@@ -88,6 +89,22 @@ def test_drivers_come_and_go_and_come_again(stage, tmp_path: Path) -> None:
     value = dict(zip(last.name, np.reshape(last.value, (2, -1))[0].tolist(), strict=True))
     assert value["v_star"] == pytest.approx(first.parameters[2], abs=1e-9)
     assert value["v_star"] != pytest.approx(again.parameters[2], abs=1e-6)
+
+
+def test_a_controlled_vehicle_is_not_followed(stage) -> None:
+    """It says so by itself, after it was followed for a while; the driver behind it stays."""
+    perception, drivers = started(stage, retire_after=1.0)
+    to_controlled = perception.create_publisher(Int32MultiArray, "controlled", LATCHED)
+    for k in range(60):
+        perception.send(k, {1: 1.0 * k, 2: 40.0 + 1.0 * k}, {1: 2})
+        if k == 19:
+            stage.until(lambda: len(perception.answers) == 20)
+            to_controlled.publish(Int32MultiArray(data=[2]))
+            stage.until(lambda: drivers._feed.controlled == {2})
+    stage.until(lambda: len(perception.answers) == 60)
+    assert [list(a.vehicle) for a in perception.answers] == [[1, 2]] * 20 + [[1]] * 40
+    assert np.isfinite(perception.answers[-1].gap_m).all()
+    assert tuple(drivers.drivers) == (1,)
 
 
 def test_ordinary_publishers_are_heard(stage) -> None:

@@ -13,6 +13,7 @@ from sugiyama_msgs.srv import SetDriver
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.truth import read_truth
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
+from sugiyama_ros.nodes.drivers import DriversNode
 from sugiyama_ros.nodes.plan import FromSimulator
 from sugiyama_ros.nodes.run import run
 from sugiyama_ros.nodes.simulator import SimulatorNode
@@ -169,3 +170,14 @@ def test_a_simulated_run_is_compared_with_the_truth(tmp_path: Path) -> None:
     assert 0.0 < found.errors["speed_rmse"] < 1.0
     assert (found.changes, found.collisions) == ((), 0)
     assert len(found.table().rows) == 4
+
+
+def test_a_controlled_vehicle_has_no_driver(stage) -> None:
+    node = simulator(vehicles=3, ring=60.0, rate=20.0, controlled=[1], controller="constant_speed:target=3")
+    listener, drivers = Listener(1), DriversNode()
+    stage.add(node, listener, drivers)
+    stage.until(lambda: bool(listener.truth) and abs(listener.truth[-1].speed - 3.0) < 1e-9)
+    stage.until(lambda: set(drivers.drivers) == {0, 2})
+    assert listener.parameters == []
+    answer = stage.call(SetDriver, "/simulator/set_driver", SetDriver.Request(vehicle=1, name=["v_star"], value=[9.0]))
+    assert answer.message == "vehicle 1: a controller drives it; give the number of a driver"

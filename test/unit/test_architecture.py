@@ -25,6 +25,7 @@ ORDER = (
     "bridges",
     "driver",
     "laws",
+    "controllers",
     "effects",
     "simulation",
     "filters",
@@ -45,7 +46,7 @@ SMALL = {"interrupts", "progress", "plugins", "results"}
 ALONE = {
     "page": {"arrays", "diagnosis", "driver", "effects", "files", "fit", "formats", "laws", "progress", "results"}
     | {"road", "trajectories"},
-    "__init__": {"api", "effects", "laws"},
+    "__init__": {"api", "controllers", "effects", "laws"},
 }
 #: Rooms whose results make words when they are shown: from these rooms, imported only then.
 SHOWN_BY = {"diagnosis": {"page"}}

@@ -4,9 +4,11 @@ from collections import deque
 from collections.abc import Callable
 from enum import Enum, auto
 
+from std_msgs.msg import Int32MultiArray
 from sugiyama_msgs.msg import MeasuredPositions
 from sugiyama_msgs.msg import Road as RoadMessage
 
+from sugiyama_ros.formats.measured import CONTROLLED
 from sugiyama_ros.nodes.base.cdr_messages import NS
 from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.base.qos import DEPTH, LATCHED, STREAM
@@ -24,7 +26,10 @@ _MEASURED = 100
 
 
 class RoadFeed:
-    """Hands the road and every sample to a node that follows vehicles. Samples wait for the road."""
+    """Hands the road and every sample to a node that follows vehicles. Samples wait for the road.
+
+    On ``controlled``, anybody may say which vehicles a controller drives.
+    """
 
     def __init__(
         self, node: PacedNode, on_road: Callable[[RoadMessage], None], take_in: Callable[[Sample], None]
@@ -32,7 +37,10 @@ class RoadFeed:
         self._hand_road, self._take_in = on_road, take_in
         self._waiting: deque[Sample] = deque(maxlen=DEPTH)
         self._is_held, self._has_road = False, False
+        #: Numbers of the vehicles that a controller drives: nobody follows them as drivers.
+        self.controlled: frozenset[int] = frozenset()
         self._inputs = [
+            node.listen(Int32MultiArray, CONTROLLED, self._on_controlled, LATCHED),
             node.listen(RoadMessage, "road", self._on_road, LATCHED),
             node.listen(MeasuredPositions, "measured", self._on_measured, STREAM),
         ]
@@ -50,6 +58,9 @@ class RoadFeed:
         """Hear nothing more."""
         for one in self._inputs:
             one.close()
+
+    def _on_controlled(self, message: Int32MultiArray) -> None:
+        self.controlled = frozenset(message.data)
 
     def _on_road(self, road: RoadMessage) -> None:
         self._has_road = True

@@ -74,6 +74,11 @@ class PositionSamples(Protocol):
     source: str
     sha256: str
 
+    @property
+    def controlled(self) -> Sequence[int]:
+        """Numbers of the vehicles that a controller drives."""
+        ...
+
     def at(self, step: int) -> Positions:
         """Sample number ``step``."""
         ...
