@@ -15,7 +15,8 @@ from sugiyama_ros.driver.parameters import NAMES, population
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import OnlineFilter
-from sugiyama_ros.fit.classes import DriverTypes
+from sugiyama_ros.fit.driver_types import DriverTypes
+from sugiyama_ros.fit.goals import Goal, KnownGoals
 from sugiyama_ros.fit.model_file import FittedDrivers, write_drivers
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.registry import read_tracks
@@ -292,7 +293,8 @@ def test_the_type_of_the_driver_is_published(stage, tmp_path: Path) -> None:
     kinds[1, NAMES.index("v_star")] *= 1.2
     types = DriverTypes(np.array([0.75, 0.25]), kinds)
     rows = ROW.with_effects(np.tile(population(), (4, 1)))
-    write_drivers(file, FittedDrivers([0, 1, 2, 3], "", "", rows, [{}] * 4, {}, 0.0), types)
+    goals = KnownGoals((Goal("exit", place=90.0, speed=2.0),), {"exit": 0.3})
+    write_drivers(file, FittedDrivers([0, 1, 2, 3], "", "", rows, [{}] * 4, {}, 0.0), types, goals=goals)
     road, told = Road(), []
     estimator = OneDriver(7, model=str(file))
     road.create_subscription(DriverType, "vehicle_07/driver_type", told.append, STREAM)
@@ -301,6 +303,9 @@ def test_the_type_of_the_driver_is_published(stage, tmp_path: Path) -> None:
     road.drive(0, 21)
     stage.until(lambda: len(told) == 11)
     assert told[0].probability == pytest.approx([0.75, 0.25])
+    assert told[0].goals == ["through", "exit"]
+    assert told[0].goal_probability == pytest.approx([0.7, 0.3], abs=0.05)
+    assert told[-1].goal_probability == pytest.approx(estimator.follower.filter.goal_probability)
     learnt, prior = estimator.follower.filter.learnt, estimator.follower.filter.prior
     assert told[-1].probability == pytest.approx(types.probabilities(learnt, prior))
     assert (told[-1].header.stamp.sec, told[-1].vehicle) == (10, 7)
