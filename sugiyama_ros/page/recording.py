@@ -102,7 +102,8 @@ class Recording(Result):
         """Say what was recorded, and how large the one-step errors are."""
         if not self.has_estimates:
             return f"{self.trajectories.headline()}; no estimates"
-        error = float(np.sqrt(np.mean(np.square(self.error_by_driver))))
+        squares = np.square(self.error_by_driver)
+        error = math.sqrt(squares.sum() / max(np.count_nonzero(squares), 1))  # nobody follows a controlled vehicle
         return f"{self.trajectories.headline()}; one-step error {error:.3f} m"
 
     def records(self) -> list[dict[str, Any]]:
