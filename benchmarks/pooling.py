@@ -2,7 +2,8 @@
 
 - ``classes``: tracks of 15 s of drivers of three classes, as a drone sees them: all cars of a ring but the first as
   followers. Adjusted Rand index, coverage of the 95 % intervals of the classes' parameters, CPU time.
-- ``exits``: drivers on the way to an exit, some of whom want to leave, and are blocked before the ramp. Calibration
+- ``exits``: drivers on the way to an exit, some of whom want to leave, and are blocked before the ramp. The vehicles
+  ahead count as controlled, so nobody asks what they intend. Calibration
   error of the probability of the goal, and Brier score against the share of the goal on the lane.
 - ``held_out FILE``: models of a population on measured tracks, cut to 15 s, by drivers who are held out.
 - ``delay``: whether a diagnosis finds a delay that all drivers have, and nothing in drivers without an effect.
@@ -46,21 +47,24 @@ class Seen:
     """Collects what is seen of vehicles."""
 
     def __init__(self) -> None:
-        self.parts: list[tuple[str, str, Array, Array]] = []
+        self.parts: list[tuple[str, str, Array, Array, bool]] = []
 
-    def add(self, lane: str, vehicle: str, first_s: float, period_s: float, position_m: Array) -> None:
-        """Add positions (T,) [m] of a vehicle from a time [s] on."""
+    def add(
+        self, lane: str, vehicle: str, first_s: float, period_s: float, position_m: Array, is_judged: bool = True
+    ) -> None:
+        """Add positions (T,) [m] of a vehicle from a time [s] on; ``is_judged``: whether it counts as a driver."""
         time_s: Array = np.asarray(first_s + period_s * np.arange(len(position_m)), np.float64)
-        self.parts.append((lane, vehicle, time_s, position_m))
+        self.parts.append((lane, vehicle, time_s, position_m, is_judged))
 
     def tracks(self) -> Tracks:
         """All of it as tracks."""
         texts = {
-            "lane": labels_of([lane for lane, _, time_s, _ in self.parts for _ in time_s]),
-            "vehicle": labels_of([vehicle for _, vehicle, time_s, _ in self.parts for _ in time_s]),
+            "lane": labels_of([part[0] for part in self.parts for _ in part[2]]),
+            "vehicle": labels_of([part[1] for part in self.parts for _ in part[2]]),
         }
         time_s, position_m = (np.concatenate([part[k] for part in self.parts]) for k in (2, 3))
         numbers = {"time_s": time_s, "s_m": position_m, "length_m": np.full(len(time_s), LENGTH_M)}
+        numbers["controlled"] = np.concatenate([np.full(len(part[2]), not part[4]) for part in self.parts])
         return of_columns({**texts, **numbers}, About(source="simulated"))
 
 
@@ -150,7 +154,7 @@ def on_the_way(seed: int, drivers: int, blocked: int, period_s: float) -> tuple[
         while way is None or len(way) < 6.0 / period_s:
             way = approach(rng, bool(leaves[i]), bool(is_slow[i]), period_s)
         for j in range(3):
-            seen.add(("right", "left")[lane[i]], f"{i}-{j}", 100.0 * i, period_s, way[:, j])
+            seen.add(("right", "left")[lane[i]], f"{i}-{j}", 100.0 * i, period_s, way[:, j], j == 0)
     truth = zip(lane.tolist(), leaves.tolist(), strict=True)
     return seen.tracks(), {f"{i}-0": one for i, one in enumerate(truth)}
 
@@ -161,10 +165,8 @@ def exits(seeds: range, drivers: int, blocked: int, period_s: float) -> None:
         tracks, truth = on_the_way(seed, drivers, blocked, period_s)
         found = sg.calibrate(tracks, goals={"exit": EXIT})
         assert found.classes is not None
-        # nobody is asked about those ahead
-        at = [k for k, driver in enumerate(found.drivers) if str(driver.vehicle) in truth]
-        lane, leaves = np.array([truth[str(found.drivers[k].vehicle)] for k in at]).T
-        p, base = found.classes.goal_probability[at, 1], np.array([leaves[lane == k].mean() for k in (0, 1)])[lane]
+        lane, leaves = np.array([truth[str(driver.vehicle)] for driver in found.drivers]).T
+        p, base = found.classes.goal_probability[:, 1], np.array([leaves[lane == k].mean() for k in (0, 1)])[lane]
         gained = np.square(base - leaves) - np.square(p - leaves)
         bins = np.minimum((10.0 * p).astype(int), 9)
         off = sum((bins == k).mean() * abs(p[bins == k].mean() - leaves[bins == k].mean()) for k in np.unique(bins))
