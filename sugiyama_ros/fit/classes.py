@@ -297,7 +297,7 @@ class Search:
             return self.at(layout.vector(centres, noise), goals * may.argmax(axis=1))
         # a driver who is far from all others must not be a class of their own
         near = np.clip((points - centre) / scale, -2.0, 2.0)
-        some = Search(self.data, layout, self.work, range(0, self.data.drivers, -(-self.data.drivers // _SOME)))
+        some = Search(self.data.roughly, layout, self.work, range(0, self.data.drivers, -(-self.data.drivers // _SOME)))
         tried = []
         for k in range(_STARTS):
             rng = np.random.default_rng(seed + k)
@@ -353,7 +353,7 @@ class _ClassAlone:
         layout, goals = search.layout, len(search.layout.goals.names)
         mine = slice(k * goals, (k + 1) * goals)
         near = np.flatnonzero(at.probability[:, mine].sum(axis=1) > _LEAST_PROBABILITY)
-        self.data, self.work, self.who = search.data, search.work, search.who[near]
+        self.data, self.work, self.who = search.data.roughly, search.work, search.who[near]
         self.places, self.models, columns = layout.own, at.models[mine], layout.columns(k)[0, : len(layout.own)]
         self.x, self.low, self.high = at.x[columns], search.low[columns], search.high[columns]
         self.weights = layout.weights(at.x)[self.who, mine]

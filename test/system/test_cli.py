@@ -198,7 +198,19 @@ def test_every_json_is_one_document(sugiyama, here):
 
 
 COMMANDS = (
-    *("demo", "run", "simulate", "calibrate", "diagnose", "study", "compare", "effects", "laws", "report"),
+    *(
+        "demo",
+        "run",
+        "simulate",
+        "calibrate",
+        "diagnose",
+        "study",
+        "compare",
+        "effects",
+        "laws",
+        "controllers",
+        "report",
+    ),
     *("live", "convert", "fetch", "info", "echo", "recover"),
 )
 
