@@ -183,10 +183,16 @@ def search_of(
 def predicted_by(search: "Search", at: "_Mixture", data: Recorded, seen: Ints, out: Ints) -> Array:
     """Return the log-likelihood (n,) of the drivers ``out`` under classes that were fitted to the drivers ``seen``.
 
-    data: all drivers, in the recordings of the fit.
+    data: all drivers; in a recording without a driver of the fit, the noises are those of the largest recording.
     """
-    may = np.ones((data.drivers, search.layout.classes), np.bool_)
-    layout = _layout(data, search.layout.places, may)._replace(typical=search.layout.typical)
+    names = [one.recording for one in data.vicinity.names]
+    known, count = np.unique([names[i] for i in seen], return_counts=True)
+    number = {name: k for k, name in enumerate(known.tolist())}
+    layout = search.layout._replace(
+        recording=np.array([number.get(name, int(count.argmax())) for name in names]),
+        goals=goals_of((), [""] * data.drivers),
+        may=np.ones((data.drivers, search.layout.classes), np.bool_),
+    )
     ahead = np.full(data.drivers, int(at.probability.sum(axis=0).argmax()))
     ahead[seen] = at.probability.argmax(axis=1)
     return Search(data, layout, search.work, out.tolist()).at(at.x, ahead).log_likelihood
