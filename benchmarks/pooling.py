@@ -23,6 +23,7 @@ import sugiyama_ros as sg
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, V_STAR, index, population
 from sugiyama_ros.effects.registry import ROW, switch_on
+from sugiyama_ros.fit.driver_types import gain
 from sugiyama_ros.fit.held_out_drivers import chosen, predict_held_out
 from sugiyama_ros.fit.preparation import prepare
 from sugiyama_ros.road import Road
@@ -186,7 +187,7 @@ def held_out(file: Path) -> None:
     with ThreadPoolExecutor(2) as work:
         found = predict_held_out(data, [index(name) for name in data.even.estimated()], 6, work, seed=0)
     for one in found:
-        print(one.document(found[0]))
+        print(one.document(found[0]), "than alone: {:.2f} ± {:.2f}".format(*gain(one.later, found[-1].later)))
     print(data.drivers, "drivers; number of classes:", chosen(found))
 
 

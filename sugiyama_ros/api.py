@@ -23,7 +23,7 @@ from sugiyama_ros.driver.parameters import defaults
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.driver import Formulation
-from sugiyama_ros.fit.goals import goal_from
+from sugiyama_ros.fit.goals import goals_from
 from sugiyama_ros.fit.model_file import drive_by, drivers_of, read_model
 from sugiyama_ros.formats.choices import Choices, choices_of, read_choices, reference_of
 from sugiyama_ros.formats.registry import read_tracks
@@ -231,7 +231,7 @@ def calibrate(
     """
     _check_names("calibrate", settings, _CALIBRATE)
     said = {**_CALIBRATE, **settings}
-    classes, goals = number_of_classes(said["classes"]), tuple(goal_from(n, v) for n, v in said["goals"].items())
+    classes, goals = number_of_classes(said["classes"]), goals_from(said["goals"])
     of_search = (said["seed"], said["law"], tuple(effects), classes, goals)
     asked = Settings(formulation, tuple(parameters), regularise, profile, *of_search)
     asked.check()

@@ -121,12 +121,18 @@ def _in_classes(
     held_out: tuple[Predictions, ...] = ()
     count = max(settings.classes, 1) if isinstance(settings.classes, int) else 1
     goals = goals_of(settings.goals, _entries(tracks, data)) if settings.goals else None
+    for one in settings.goals:
+        one.check_within(float(tracks.s_m.min()), float(tracks.s_m.max()), data.speed)
     if settings.classes == VEHICLE:
         known = [one.vehicle_class for one in data.vicinity.names]
         if len(set(known)) < 2:
             raise InputError(f"{tracks.about.source}: all vehicles are of one class; give a number of classes")
     elif settings.classes == AUTO:
         most = min(MOST_CLASSES, data.drivers // FOLDS)
+        if most < 1:
+            raise InputError(
+                f"{tracks.about.source}: {data.drivers} drivers are too few to hold some out; give a number of classes"
+            )
         held_out = tuple(predict_held_out(data, places, most, work, settings.seed, on_progress))
         count = chosen(held_out)
     classes = find_classes(data, count, places, work, seed=settings.seed, known=known, goals=goals)

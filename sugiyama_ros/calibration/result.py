@@ -234,17 +234,27 @@ class Calibration(Result):
 
         Each record has the vehicle and the log-likelihood; on tracks also the recording, the class, the stretches, the
         time [s] that counts and the mean of the squared normalised innovations. For each estimated parameter it has the
-        value, the standard deviation, the ends of the 95 % interval, and whether the parameter is identified.
+        value, the standard deviation, the ends of the 95 % interval, and whether the parameter is identified. With
+        classes and goals it has the probability of each.
         """
         records = []
-        for driver, d in zip(self.drivers, self._drivers(), strict=True):
+        for number, (driver, d) in enumerate(zip(self.drivers, self._drivers(), strict=True)):
             one = self._who(driver)
             for name in self.settings.estimated:
                 low, high = d["interval"][name]
                 one |= {name: d[name], f"{name}_std": d["std"][name], f"{name}_low": low, f"{name}_high": high}
                 one[f"{name}_identified"] = d["identified"][name]
-            records.append(one | {key: d[key] for key in ("log_likelihood", "nis") if key in d})
+            records.append(one | self._belongs(number) | {key: d[key] for key in ("log_likelihood", "nis") if key in d})
         return records
+
+    def _belongs(self, number: int) -> dict[str, float]:
+        """Probability of each class, and of each goal, of a driver; empty if there is one only."""
+        if self.classes is None:
+            return {}
+        names = self.classes.names or [f"class {k}" for k in range(len(self.classes.share))]
+        found = dict(zip(names, self.classes.probability[number].tolist(), strict=True)) if len(names) > 1 else {}
+        goals = dict(zip(self.classes.goals, self.classes.goal_probability[number].tolist(), strict=True))
+        return found | (goals if self.settings.goals else {})
 
     def draw(self, figure: "Figure | SubFigure") -> None:
         """Draw each estimated parameter with its standard deviation, by vehicle; on tracks, over the time that counts.
@@ -328,13 +338,15 @@ class Calibration(Result):
 
         A parameter that is not identified has no value, and is not in the mean.
         """
-        names, on_tracks, rows = self.settings.estimated, self.road is None, []
+        names, on_tracks = self.settings.estimated, self.road is None
+        rows: list[tuple[str, ...]] = []
         held: dict[str, list[float]] = {n: [] for n in names}
         for d, values in zip(self.drivers, self._drivers(), strict=True):
             cells = [self._cell(values, n) for n in names]
             for n, cell in zip(names, cells, strict=True):
                 held[n] += [values[n]] if cell != _NOT_IDENTIFIED else []
-            rows.append(_row(d, cells, values["log_likelihood"], on_tracks))
+            belongs = [f"{p:.2f}" for p in self._belongs(len(rows)).values()]
+            rows.append((*_row(d, cells, values["log_likelihood"], on_tracks), *belongs))
         if on_tracks:
             pairs = self.pairs if len({one.leader_class for one in self.pairs} - {""}) > 1 else ()
             for one in (*self.vehicle_classes, *pairs):
@@ -345,7 +357,8 @@ class Calibration(Result):
             rows.append(("mean", *means, f"{float(self.log_likelihood.mean()):.1f}"))
         title = f"Calibration, {self.settings.formulation} formulation"
         who, last = (("class", "following [s]"), ("NIS",)) if on_tracks else ((), ())
-        headings = ("vehicle", *who, *map(ROW.heading, names), "log-likelihood [nats]", *last)
+        headings = ("vehicle", *who, *map(ROW.heading, names), "log-likelihood [nats]", *last, *self._belongs(0))
+        rows = [(*row, *[""] * (len(headings) - len(row))) for row in rows]
         return TextTable(title, headings, tuple(rows), left=2 if on_tracks else 0)
 
     def class_sentences(self) -> list[str]:

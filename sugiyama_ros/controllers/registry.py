@@ -6,6 +6,7 @@ Another package adds a controller with an entry point of the group ``sugiyama_ro
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from operator import index
 
 import numpy as np
 
@@ -47,7 +48,7 @@ def controlled_by(
     if vehicles is None or text is None:
         given, missing = ("controller", "controlled")[:: 1 if vehicles is None else -1]
         raise InputError(f"{shown(given)}: needs {shown(missing)}, too")
-    name, _, pairs = text.partition(":")
+    name, _, pairs = str(text).partition(":")
     chosen = controller(name)
     values = {p.name: p.default for p in chosen.parameters}
     for pair in filter(None, pairs.split(",")):
@@ -76,7 +77,7 @@ def _number(text: str, declared: Parameter, where: str) -> float:
 def _numbers(vehicles: str | Sequence[int], where: str) -> tuple[int, ...]:
     """Numbers of vehicles, each once. Raises InputError."""
     try:
-        given = [int(part) for part in vehicles.split(",")] if isinstance(vehicles, str) else [*vehicles]
-    except ValueError:
+        given = [int(part) for part in vehicles.split(",")] if isinstance(vehicles, str) else [*map(index, vehicles)]
+    except (TypeError, ValueError):
         raise InputError(f"{where} {vehicles}: gives no numbers of vehicles; give them such as 0,7") from None
     return tuple(dict.fromkeys(given))

@@ -84,7 +84,9 @@ class GoalFilter(OnlineFilter):
         stays = math.exp(-(self.period_s if elapsed_s is None else elapsed_s) / _THINKS_ANEW_S)
         self.goal_probability = stays * self.goal_probability + (1.0 - stays) * self._share
         estimates = [super().step(*sample, **more), *(one.step(*sample, **more) for one in self._others)]
-        if all(one.scored and math.isfinite(one.log_likelihood) for one in estimates):
+        # who follows nobody is not told from whoever wants to drive as fast
+        is_led = math.isfinite(estimates[0].gap_m)
+        if is_led and all(one.scored and math.isfinite(one.log_likelihood) for one in estimates):
             density = np.array([one.log_likelihood for one in estimates])
             both = self.goal_probability * np.exp(density - density.max())
             self.goal_probability = both / both.sum()

@@ -333,10 +333,11 @@ class Search:
             away = np.tile(np.array([-SIGMAS, SIGMAS]), (len(columns), 1)) * errors[columns, None]
             away[:own] = _ClassAlone(self, at, k).ends(alone) * (errors[of_class] / alone)[:, None]
             interval[k, layout.places] = value((at.x[columns, None] + away).T, layout.places).T
-        likeliest = at.probability.argmax(axis=1)
-        own_rows = np.array([at.models[k].rows[i] for i, k in zip(self.who, likeliest, strict=True)])
         order = np.argsort(-share)
         probability = at.probability.reshape(len(self.who), layout.classes, goals)
+        # in the likeliest class, and without a goal, which nobody knows for sure
+        likeliest = goals * probability.sum(axis=2).argmax(axis=1)
+        own_rows = np.array([at.models[j].rows[i] for i, j in zip(self.who, likeliest, strict=True)])
         return Classes(
             names=tuple(names[k] for k in order) if names else (),
             rows=rows[order],

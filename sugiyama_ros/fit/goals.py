@@ -52,6 +52,15 @@ class Goal:
             raise InputError(f"goal {self.name}: deceleration {self.deceleration:g}: give a number above 0")
         _ = self.row  # checks the bounds
 
+    def check_within(self, first_m: float, last_m: float, speed: float) -> None:
+        """Raise InputError if nobody who is seen between two positions [m] slows down for it from a speed [m/s]."""
+        begins_m = self.place - max(speed**2 - self.speed**2, 0.0) / (2.0 * self.deceleration)
+        if not (first_m < self.place and begins_m < last_m):
+            raise InputError(
+                f"goal {self.name}: place {self.place:g} m is out of reach: vehicles are seen from {first_m:.0f} to"
+                f" {last_m:.0f} m; give a place ahead of them"
+            )
+
     @property
     def row(self) -> Array:
         """Entries of a driver's row that the goal sets, shape (width,); 0 for all others."""
@@ -71,13 +80,21 @@ def read_goal(text: str, where: str) -> Goal:
     return goal_from(name, {**read_effect(f"{name}:{numbers}", where)[1], "lane": lanes[0] if lanes else ""})
 
 
+def goals_from(given: Any) -> tuple[Goal, ...]:
+    """Make goals of their values by name. Raises InputError."""
+    if not isinstance(given, Mapping):
+        raise InputError('goals: give values by name, such as {"exit": {"place": 500.0, "speed": 8.0}}')
+    return tuple(goal_from(name, values) for name, values in given.items())
+
+
 def goal_from(name: str, values: Mapping[str, Any]) -> Goal:
     """Make a goal of its values by name. Raises InputError."""
     try:
-        return Goal(name, **values)
-    except TypeError:
+        given: dict[str, Any] = {key: str(one) if key == "lane" else float(one) for key, one in values.items()}
+        return Goal(name, **given)
+    except (TypeError, ValueError, AttributeError):
         known = ", ".join(p.name for p in effect(_EFFECT).parameters)
-        raise InputError(f"goal {name}: give place, and no others than {known} and lane") from None
+        raise InputError(f"goal {name}: give numbers for place, and no others than {known} and lane") from None
 
 
 class Goals(NamedTuple):
@@ -100,7 +117,8 @@ def goals_of(goals: Sequence[Goal], lane: Sequence[str]) -> Goals:
     entries, entry = np.unique(np.array(lane, dtype=str), return_inverse=True)
     for one in goals:
         if one.lane and one.lane not in entries:
-            raise InputError(f"goal {one.name}: nobody comes in on lane {one.lane}; the lanes are {', '.join(entries)}")
+            known = f"the lanes are {', '.join(entries)}" if any(entries) else "the tracks name no lanes"
+            raise InputError(f"goal {one.name}: nobody comes in on lane {one.lane}; {known}")
     if len({one.name for one in goals}) < len(goals):
         raise InputError("goals: give each goal a name of its own")
     may = np.array([[True, *(one.lane in ("", here) for one in goals)] for here in lane])

@@ -17,6 +17,7 @@ from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.driver.parameters import NAMES
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.filters.first_look import PER_MEDIAN
 from sugiyama_ros.fit.coordinates import ENOUGH_CAUSAL, Damping, coordinate, damped, damped_step
 from sugiyama_ros.fit.driver import calibrate
 from sugiyama_ros.fit.driver_types import LEAST_STD
@@ -312,8 +313,7 @@ def _as_population(here: JointFit) -> Model:
 
     The likelihood of each driver counts as quadratic. The EM algorithm finds the spread that makes all of them most
     probable (empirical Bayes): a driver's estimate differs from the median by the spread and by its own error, so the
-    estimates alone would differ by too much, or once they are drawn to the median, by too little. A driver who is far
-    from all others counts as not so far.
+    estimates alone would differ by too much, or once they are drawn to the median, by too little.
     """
     model, count = here.model, len(here.model.individual)
     own = coordinate(model.rows[:, list(model.individual)], model.individual)
@@ -325,10 +325,11 @@ def _as_population(here: JointFit) -> Model:
         posterior = np.linalg.inv(information + np.diag(1.0 / var))
         mean = np.einsum("nij,nj->ni", posterior, pull + centre / var)
         centre = np.median(mean, axis=0)
-        off = np.minimum(np.square(mean - centre), _FAR_AWAY**2 * var)
-        squares = (off + posterior[:, range(count), range(count)]).sum(axis=0)
+        # medians: a driver who is far from all others must not make all others differ
+        off, errors = np.square(mean - centre), posterior[:, range(count), range(count)]
+        found = PER_MEDIAN**2 * np.median(off, axis=0) + np.median(errors, axis=0)
         # a small number of drivers determines the spread poorly
-        new = (squares + _AS_IF * _USUAL_STD**2) / (len(own) + _AS_IF)
+        new = (len(own) * found + _AS_IF * _USUAL_STD**2) / (len(own) + _AS_IF)
         new = np.clip(new, LEAST_STD**2, LARGEST_STD**2)
         settled = np.abs(np.log(new / var)).max(initial=0.0) < _SETTLED
         var = new

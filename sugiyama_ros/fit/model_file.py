@@ -282,6 +282,8 @@ def _goals(path: Path, given: Any) -> KnownGoals:
     """Return the goals in a model file. Raises InputError."""
     goals, shares = [], {}
     try:
+        if not isinstance(given, list):
+            raise ValueError("no list")
         for one in given:
             values = {key: number(one[key], key) for key in ("place", "speed", "deceleration", "share")}
             shares[str(one["name"])] = values.pop("share")

@@ -194,6 +194,8 @@ def plan_of(source: Path | FromSimulator, output: Path, settings: RunSettings) -
         plan = Plan(samples, parameters, output, settings)
     else:
         plan = Plan(source, source.parameters, output, settings)
+    if plan.source.controlled and not plan.vehicles:
+        raise InputError("run: a controller drives every vehicle; nobody is left to follow")
     _check_saved_states(plan)
     return plan
 

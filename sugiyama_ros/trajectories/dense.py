@@ -254,7 +254,7 @@ def whole_road(tracks: Tracks) -> DenseTracks | None:
         where = tracks.about.source or "tracks"
         _check_order(road, where)
         check_jumps(tracks, where)
-    return road if in_view or road.present.mean() >= _PRESENT else None
+    return road if road.present.mean() >= _PRESENT else None
 
 
 def road_of_drivers(tracks: Tracks) -> DenseTracks | None:

@@ -151,6 +151,9 @@ def test_goals_are_told_by_how_drivers_slow_down(exits, tmp_path):
     probability = dict(zip([d.vehicle for d in found.drivers], found.classes.goal_probability[:, leaving], strict=True))
     off = [(probability[name] - wants) ** 2 for name, wants in leaves.items()]
     assert np.mean(off) < 0.02  # the share alone gives 0.14
+    # nobody is sure of it, so no row has the goal
+    assert not found.rows[:, ROW.places["goal_ahead"]].any()
+    assert found.to_frame()["exit"].tolist() == list(probability.values())
     of_lane = dict(zip(found.classes.entries, found.classes.goal_share[:, leaving], strict=True))
     assert of_lane["left"] < of_lane["right"]
     document = found.document(1.0)
@@ -201,8 +204,8 @@ def test_one_class_with_one_goal_is_the_fit_of_one_driver_for_all(short, work):
     ("text", "says"),
     [
         ("exit", "is not NAME:PARAMETER=VALUE"),
-        ("exit:speed=8", "give place"),
-        ("exit:place=500,colour=3", "give place, and no others than"),
+        ("exit:speed=8", "give numbers for place"),
+        ("exit:place=500,colour=3", "give numbers for place, and no others than"),
         ("through:place=500", "is no name"),
         ("exit:place=500,deceleration=0", "give a number above 0"),
         ("exit:place=500,speed=900", "speed"),
@@ -211,6 +214,16 @@ def test_one_class_with_one_goal_is_the_fit_of_one_driver_for_all(short, work):
 def test_goals_that_are_none_are_refused(text, says):
     with pytest.raises(InputError, match=says):
         read_goal(text, "--goal")
+
+
+def test_too_few_drivers_and_a_goal_out_of_reach_are_refused(exits, short):
+    few = short[0].select(np.asarray(short[0].run) < 4)
+    with pytest.raises(InputError, match="3 drivers are too few to hold some out"):
+        sg.calibrate(few, classes="auto")
+    with pytest.raises(InputError, match="place 5000 m is out of reach: vehicles are seen from"):
+        sg.calibrate(exits[0], goals={"exit": {"place": 5000.0}})
+    with pytest.raises(InputError, match="give values by name"):
+        sg.calibrate(exits[0], goals=["exit"])
 
 
 def test_a_lane_on_which_nobody_comes_in_is_refused():
