@@ -515,9 +515,12 @@ def _left(rounds: Sequence[Round], data: Recorded, final: Entry, rivals: Sequenc
     """Checks of what is left: the best candidate of the last round, other forms of what was added, other laws."""
     last = rounds[-1]
     left = []
-    if last.added is None and last.scores:
+    # a score promises a gain; where a fit has found none, the promise is broken
+    broken = {e.added[-1].mechanism for e in last.gains if e.fit is last.current.fit}
+    scores_left = [one for one in last.scores if one.candidate.mechanism not in broken]
+    if last.added is None and scores_left:
         p_values = last.chance.p_values
-        best = min(last.scores, key=lambda one: (p_values[one.candidate.mechanism], -one.gain))
+        best = min(scores_left, key=lambda one: (p_values[one.candidate.mechanism], -one.gain))
         left.append(
             Check(f"left_for_{best.candidate.name}", best.gain, 0.0, "nats", p_values[best.candidate.mechanism])
         )
