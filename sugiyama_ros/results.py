@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
     from sugiyama_ros.arrays import Array
 
+#: A difference is clear from this number of standard errors on.
+CLEARLY = 2.0
 #: A colour that people with any colour vision tell apart from others (Okabe and Ito).
 BLUE = "#0072b2"
 _GREY = "#7f7f7f"

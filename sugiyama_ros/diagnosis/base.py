@@ -14,7 +14,7 @@ from sugiyama_ros.diagnosis.candidates import Candidate
 from sugiyama_ros.diagnosis.forecast import Surroundings, forecasts
 from sugiyama_ros.diagnosis.refine import without_folds
 from sugiyama_ros.diagnosis.score import scores
-from sugiyama_ros.diagnosis.table import CLEARLY, Entry, paired, sum_error
+from sugiyama_ros.diagnosis.table import Entry, paired, sum_error
 from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.filters.abreast import ABREAST
@@ -26,6 +26,7 @@ from sugiyama_ros.fit.recording import Recorded, some_drivers
 from sugiyama_ros.fit.smooth_positions import FREED, ROUNDING
 from sugiyama_ros.laws.registry import LAWS, PAPERS, name_of
 from sugiyama_ros.progress import OnStage
+from sugiyama_ros.results import CLEARLY
 from sugiyama_ros.trajectories.tracks import Tracks
 
 # Standard errors by which another base model must be better: a missing effect makes it a little better, too.

@@ -21,11 +21,10 @@ from sugiyama_ros.effects.registry import EFFECTS
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model import Model, PointwiseDensity
 from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.results import CLEARLY
 
 #: Level of significance, and false-discovery rate: nothing is added that chance shows more often.
 ALPHA = 0.05
-#: A difference counts from this number of standard errors on.
-CLEARLY = 2.0
 
 
 @dataclass(frozen=True)

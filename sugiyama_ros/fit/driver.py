@@ -130,8 +130,8 @@ _STARTS = ((1.0, 1.0), (0.7, 6.0), (2.2, 0.15), (0.7, 0.15))
 _ENOUGH = 1e-4
 
 
-#: Maximum number of steps of a search.
-STEPS = 60
+# Maximum number of steps of a search.
+_STEPS = 60
 # Damping of the search for the parameters of a single driver.
 _ALONE = Damping(least=1e-9, least_after_failure=1e-2, most=1e8)
 
@@ -253,8 +253,8 @@ def carry_out(job: Job) -> Fit:
     return found
 
 
-def derivatives(scored: Scored, parameters: Array, places: Ints) -> tuple[Array, Array]:
-    """Return gradient (K,) and information (K, K) of a score at parameters (P,), by the coordinates at ``places``."""
+def _derivatives(scored: Scored, parameters: Array, places: Ints) -> tuple[Array, Array]:
+    """Gradient (K,) and information (K, K) of a score at parameters (P,), by the coordinates at ``places``."""
     scale, block = parameters[places], scored.information[np.ix_(places, places)]
     return scored.gradient[places] * scale, block * np.outer(scale, scale)
 
@@ -274,7 +274,7 @@ def _search(at: Callable[[Array, _Point | None], _Point | None], start: Array, e
     (smallest, largest), here, damping = ends, at(start, None), _ALONE.start
     if here is None:
         raise ValueError("the search needs a point to begin with")
-    for _ in range(STEPS):
+    for _ in range(_STEPS):
         x, gradient = here.x, here.gradient
         free = ~(((x <= smallest) & (gradient < 0.0)) | ((x >= largest) & (gradient > 0.0)))
         if not free.any():
@@ -299,7 +299,7 @@ def _fit(job: Job, enough: float, is_careful: bool = False) -> Fit:
         scored = job.better(parameters, *known)
         if scored is None:
             return None
-        return _Point(x, scored.log_likelihood, *derivatives(scored, parameters, job.places), scored)
+        return _Point(x, scored.log_likelihood, *_derivatives(scored, parameters, job.places), scored)
 
     found, places = _search(at, job.x, job.ends, enough), job.places
     parameters = job.parameters(found.x)

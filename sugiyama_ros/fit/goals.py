@@ -122,8 +122,17 @@ def goals_of(goals: Sequence[Goal], lane: Sequence[str]) -> Goals:
     if len({one.name for one in goals}) < len(goals):
         raise InputError("goals: give each goal a name of its own")
     may = np.array([[True, *(one.lane in ("", here) for one in goals)] for here in lane])
-    row = np.array([np.zeros(ROW.width), *(one.row for one in goals)])
-    return Goals((THROUGH, *(one.name for one in goals)), row, entry, tuple(entries.tolist()), may)
+    return Goals(_names(goals), _rows(goals), entry, tuple(entries.tolist()), may)
+
+
+def _names(goals: Sequence[Goal]) -> tuple[str, ...]:
+    """Names (G,) of all goals, driving through first."""
+    return (THROUGH, *(one.name for one in goals))
+
+
+def _rows(goals: Sequence[Goal]) -> Array:
+    """Entries (G, width) of a driver's row that each goal sets; none of the first one, driving through."""
+    return np.array([np.zeros(ROW.width), *(one.row for one in goals)])
 
 
 @dataclass(frozen=True)
@@ -136,7 +145,12 @@ class KnownGoals:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of all goals, driving through first."""
-        return (THROUGH, *(one.name for one in self.goals))
+        return _names(self.goals)
+
+    @property
+    def rows(self) -> Array:
+        """Entries of a driver's row that each goal sets, shape (G, width); 0 for all others."""
+        return _rows(self.goals)
 
     @property
     def prior(self) -> Array:

@@ -19,15 +19,16 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.fit.classes import predicted_by, search_of
-from sugiyama_ros.fit.coordinates import LONGEST, coordinate, limits, value
+from sugiyama_ros.fit.coordinates import LONGEST, Damping, coordinate, limits, value
 from sugiyama_ros.fit.driver_types import Predictions, gain
 from sugiyama_ros.fit.joint import LARGEST_STD, JointFit, fit_base, fit_nearly
 from sugiyama_ros.fit.model import Model, evaluate
 from sugiyama_ros.fit.recording import FOLDS, Recorded, some_drivers
 from sugiyama_ros.fit.slopes import difference_steps, slopes_of
+from sugiyama_ros.results import CLEARLY
 
-#: A difference counts from so many standard errors on.
-CLEARLY = 2.0
+# Damping of the search for these parameters.
+_DAMPING = Damping(least=0.0, least_after_failure=0.0, most=np.inf, start=1e-2)
 # Steps towards the likeliest parameters of a driver who is a draw from a population.
 _STEPS = 6
 
@@ -131,7 +132,11 @@ class _HeldOut:
         centre = coordinate(rows[out[0], places], places)
         low, high = np.sort(coordinate(limits(places, data.lower, data.upper), places), axis=0)
         steps = np.tile(difference_steps(data, places), (data.drivers, 1))
-        best, here, damping = np.full(len(out), -np.inf), np.tile(centre, (len(out), 1)), np.full(len(out), 1e-2)
+        best, here, damping = (
+            np.full(len(out), -np.inf),
+            np.tile(centre, (len(out), 1)),
+            np.full(len(out), _DAMPING.start),
+        )
         there, score, information = here.copy(), np.zeros_like(here), np.zeros((len(out), count, count))
         for _ in range(_STEPS):
             rows[out[:, None], places] = value(there, places)
@@ -139,12 +144,13 @@ class _HeldOut:
             samples = evaluate(data, model, self.work, out.tolist())
             prior = -0.5 * np.square((there - centre) / std).sum(axis=1)
             height = prior + np.nansum(samples.log_likelihood[out], axis=1)
-            better = np.flatnonzero(height > best)
+            is_better = height > best
+            better = np.flatnonzero(is_better)
             known = slopes_of(data, model, samples, steps, self.work, out[better].tolist())
             for i, s in zip(better, known, strict=True):
-                best[i], here[i], damping[i] = height[i], there[i], damping[i] / 100.0
+                best[i], here[i] = height[i], there[i]
                 score[i], information[i] = s.score.sum(axis=0), s.information.sum(axis=0)
-            damping *= 10.0
+            damping = _DAMPING.updated(damping, is_better, ~is_better)
             posterior = information + np.diag(std**-2.0)
             ridge = damping[:, None, None] * posterior * np.eye(count)
             gradient = score - (here - centre) / std**2

@@ -87,8 +87,7 @@ class OnlineSettings:
         A filter that learns values of effects keeps the usual chain: each value costs as much as another filter.
         """
         if self.goals is not None:
-            rows = np.array([np.zeros(ROW.width), *(one.row for one in self.goals.goals)])
-            return GoalFilter(period_s, road, row, rows, self.goals.prior, self.adaptation, vehicles)
+            return GoalFilter(period_s, road, row, self.goals.rows, self.goals.prior, self.adaptation, vehicles)
         if self.of_effects:
             return EffectFilter(period_s, road, row, self.of_effects, self.adaptation)
         return OnlineFilter(period_s, road, row, adaptation=self.adaptation, vehicles=vehicles, engine=self.engine)
