@@ -21,6 +21,7 @@ ORDER = (
     "results",
     "road",
     "trajectories",
+    "roads",
     "formats",
     "bridges",
     "driver",
