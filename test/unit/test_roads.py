@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.roads.conflicts import CLEARANCE_M, conflicts_of_geometry
+from sugiyama_ros.roads.examples import crossing, merge, roundabout
 from sugiyama_ros.roads.network import Conflict, Lanelet, Network, Signal
 
 
@@ -75,3 +77,60 @@ def test_a_signal_repeats_after_its_cycle() -> None:
 def test_a_road_that_cannot_be_says_why(make: object, error: str) -> None:
     with pytest.raises(InputError, match=error):
         make()  # type: ignore[operator]
+
+
+def areas(network: Network, lane: str, other: str) -> list[Conflict]:
+    return [one for one in network.conflicts if (one.lane, one.other) == (lane, other)]
+
+
+def test_two_lanes_that_cross_meet_where_they_are_nearer_than_the_clearance() -> None:
+    way = np.linspace(-30.0, 30.0, 7)
+    slope = np.radians(60.0)
+    lanes = (Lanelet("a", way, 0.0 * way), Lanelet("b", way * np.cos(slope), way * np.sin(slope)))
+    for name, priority, yields in (("a", {"a": 1.0}, (False, True)), ("b", {"b": 1.0}, (True, False))):
+        found = conflicts_of_geometry(lanes, priority)
+        # a straight line is nearer than the clearance within clearance / sin(angle) of where the lines cross
+        for one in found:
+            reach = CLEARANCE_M / np.sin(slope)
+            places = (one.enter_m, one.leave_m, one.other_enter_m, one.other_leave_m)
+            np.testing.assert_allclose(places, 30.0 + reach * np.array([-1.0, 1.0, -1.0, 1.0]), atol=1e-6)
+            assert one.stop_m == one.enter_m
+        assert tuple(one.yields for one in found) == yields, name
+    # b drives to the left as seen from a: it comes from the right
+    assert [one.yields for one in conflicts_of_geometry(lanes, right_before_left=True)] == [True, False]
+
+
+def test_lanes_that_part_follow_or_lie_side_by_side_do_not_meet() -> None:
+    straight, bend = np.arange(0.0, 50.0), np.linspace(0.0, 1.0, 40)
+    lanes = (
+        Lanelet("in", straight - 49.0, 0.0 * straight, ("on", "piece")),
+        Lanelet("on", straight, 0.0 * straight),
+        # the other way begins with a piece of 2 m
+        Lanelet("piece", 30.0 * np.sin(bend[:3]), 30.0 * (1.0 - np.cos(bend[:3])), ("turn",)),
+        Lanelet("turn", 30.0 * np.sin(bend[2:]), 30.0 * (1.0 - np.cos(bend[2:]))),
+        Lanelet("back", straight[::-1], np.full(50, 3.5)),
+    )
+    found = {(one.lane, one.other) for one in conflicts_of_geometry(lanes)}
+    assert found == {("turn", "back"), ("back", "turn")}
+
+
+def test_roads_of_the_examples_have_the_conflicts_of_their_kind() -> None:
+    ring = roundabout()
+    yields = {(one.lane, one.other) for one in ring.conflicts if one.yields}
+    assert yields == {(f"in{k}", f"ring{k}") for k in range(1, 5)}
+    around = ring.path(["in1", "ring1_2", "ring2", "ring2_3", "ring3", "ring3_4", "ring4"])
+    inside = np.linspace(around.place_of(ring.number("ring1_2")) + 5.0, around.length_m - 5.0, 50)
+    np.testing.assert_allclose(around.curvature(inside), 1.0 / 20.0, rtol=0.01)
+    four = crossing()
+    # two lanes of 3.5 m at right angles: the oncoming lane is 1.75 m left of the middle, which is 10 m away
+    (place,) = areas(four, "2to4", "1to3")
+    assert (place.enter_m, place.leave_m) == pytest.approx((10.0 - 1.75 - 2.5, 10.0 - 1.75 + 2.5), abs=1e-6)
+    assert (place.stop_m, place.yields) == (0.0, True)
+    assert [one.yields for one in areas(four, "1to4", "3to1")] == [True]
+    assert not areas(four, "1to3", "3to1")
+    lights = crossing(cycle_s=60.0)
+    time = np.arange(0.0, 60.0)
+    green = np.array([~one.red_at(time) for one in lights.signals])
+    assert green.sum(axis=1).tolist() == [25, 25, 25, 25]
+    assert not (green[0] & green[1]).any()
+    assert [one.yields for one in areas(merge(), "ramp", "main")] == [True]

@@ -1,0 +1,215 @@
+"""Where lanes cross or merge, out of their middle lines, and who yields there."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array, Mask
+from sugiyama_ros.roads.network import Conflict, Lanelet, Network
+
+#: Middle lines that are nearer than this [m] leave no room for two vehicles: a car is about 2 m wide.
+CLEARANCE_M = 2.5
+# Way [m] between the points of a middle line at which it is compared with others.
+_STEP_M = 0.5
+# An area that begins this near [m] to the start of a lane begins there.
+_AT_END_M = 1e-6
+
+
+class _Sampled(NamedTuple):
+    """A middle line: places (K,) [m] on it, and points (K, 2) [m] there."""
+
+    s: Array
+    point: Array
+
+
+class _Area(NamedTuple):
+    """Where two lanes are near: first and last place [m] on each."""
+
+    enter: tuple[float, float]
+    leave: tuple[float, float]
+
+
+# Areas of two lanes, by their numbers.
+_Areas: TypeAlias = dict[tuple[int, int], list[_Area]]
+
+
+def conflicts_of_geometry(
+    lanes: Sequence[Lanelet],
+    priority: Mapping[str, float] | None = None,
+    *,
+    stop_m: Mapping[str, float] | None = None,
+    right_before_left: bool = False,
+) -> tuple[Conflict, ...]:
+    """Find where lanes cross or merge.
+
+    Two lanes meet where their middle lines are nearer than 2.5 m. Lanes that follow one another, that lie side by side,
+    or that part from each other do not meet.
+
+    Parameters
+    ----------
+    lanes : sequence of Lanelet
+        The lanes.
+    priority : mapping of str to float, optional
+        Priority of lanes by name, 0 for others. Drivers on a lane yield to those on a lane of a higher priority.
+    stop_m : mapping of str to float, optional
+        Place [m] on lanes by name where drivers wait; without it, they wait where the two lanes begin to be near.
+    right_before_left : bool
+        Whether drivers yield to those who come from the right, where lanes have the same priority; without it, nobody
+        yields by rule there.
+
+    Returns
+    -------
+    tuple of Conflict
+        Two for each part that two lanes share, one for each lane.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sugiyama_ros.roads.conflicts import conflicts_of_geometry
+    >>> from sugiyama_ros.roads.network import Lanelet
+    >>> way, zero = np.array([-20.0, 20.0]), np.zeros(2)
+    >>> found = conflicts_of_geometry([Lanelet("east", way, zero), Lanelet("north", zero, way)], {"east": 1.0})
+    >>> [(one.lane, one.enter_m, one.leave_m, one.yields) for one in found]
+    [('east', 17.5, 22.5, False), ('north', 17.5, 22.5, True)]
+    """
+    priority, stop_m = priority or {}, stop_m or {}
+    network = Network(tuple(lanes))
+    areas = _areas(network)
+    _without_forks(areas, network)
+    found = []
+    for pair, there in areas.items():
+        for area in there:
+            for a, b in ((0, 1), (1, 0)):
+                lane, other = lanes[pair[a]], lanes[pair[b]]
+                first = priority.get(other.name, 0.0) - priority.get(lane.name, 0.0)
+                if first == 0.0 and right_before_left:
+                    own, its = (lanes[pair[k]].line.heading(np.array([area.enter[k]]))[0] for k in (a, b))
+                    # who drives towards the left comes from the right
+                    first = np.sin(its - own)
+                stop = min(stop_m.get(lane.name, np.inf), area.enter[a])
+                places = (stop, area.enter[a], area.leave[a], area.enter[b], area.leave[b])
+                found.append(Conflict(lane.name, other.name, *places, yields=bool(first > 0.0)))
+    return tuple(found)
+
+
+def _areas(network: Network) -> _Areas:
+    """Where each two lanes are near, that are not side by side."""
+    sampled = [_sampled(lane) for lane in network.lanes]
+    low = np.array([one.point.min(axis=0) for one in sampled]) - 0.5 * CLEARANCE_M
+    high = np.array([one.point.max(axis=0) for one in sampled]) + 0.5 * CLEARANCE_M
+    areas: _Areas = {}
+    for i, lane in enumerate(network.lanes):
+        overlap = ((low[i] <= high[i + 1 :]) & (low[i + 1 :] <= high[i])).all(axis=1)
+        for j in (i + 1 + np.flatnonzero(overlap)).tolist():
+            other = network.lanes[j]
+            if other.name not in (lane.left, lane.right) and lane.name not in (other.left, other.right):
+                areas[i, j] = [*_near(sampled[i], sampled[j])]
+    return areas
+
+
+def _sampled(lane: Lanelet) -> _Sampled:
+    s = np.linspace(0.0, lane.length_m, int(np.ceil(lane.length_m / _STEP_M)) + 1)
+    return _Sampled(s, np.stack(lane.line.at(s, np.zeros_like(s)), axis=1))
+
+
+def _near(one: _Sampled, other: _Sampled) -> Iterator[_Area]:
+    """The parts in which two middle lines are near."""
+    distance, place = _distance(one.point, other)
+    back, _ = _distance(other.point, one)
+    near_other = back < CLEARANCE_M
+    for first, last in _runs(distance < CLEARANCE_M):
+        on = place[first : last + 1]
+        # samples of the other line at or around the places that this one is near to
+        beside = near_other & (other.s > on.min() - CLEARANCE_M) & (other.s < on.max() + CLEARANCE_M)
+        if not beside.any():
+            continue
+        its_first, its_last = np.flatnonzero(beside)[[0, -1]].tolist()
+        ends = [
+            (_crossed(one.s, distance, first, -1), _crossed(one.s, distance, last, 1)),
+            (_crossed(other.s, back, its_first, -1), _crossed(other.s, back, its_last, 1)),
+        ]
+        if all(begin < end for begin, end in ends):
+            yield _Area(*zip(*ends, strict=True))
+
+
+def _distance(point: Array, line: _Sampled) -> tuple[Array, Array]:
+    """Distance (K,) [m] of points to a line, infinite where it is large, and the place [m] on the line."""
+    distance, place = np.full(len(point), np.inf), np.full(len(point), np.nan)
+    reach = 2.0 * CLEARANCE_M
+    low, high = line.point.min(axis=0) - reach, line.point.max(axis=0) + reach
+    rows = np.flatnonzero(((point >= low) & (point <= high)).all(axis=1))
+    if len(rows):
+        way, length = np.diff(line.point, axis=0), np.diff(line.s)
+        to = point[rows, None, :] - line.point[:-1]
+        part = np.clip((to * way).sum(axis=2) / (way**2).sum(axis=1), 0.0, 1.0)
+        far = np.hypot(*np.moveaxis(to - part[:, :, None] * way, 2, 0))
+        best = far.argmin(axis=1)
+        k = np.arange(len(rows))
+        distance[rows], place[rows] = far[k, best], line.s[best] + part[k, best] * length[best]
+    return distance, place
+
+
+def _runs(mask: Mask) -> Iterator[tuple[int, int]]:
+    """First and last index of each run of true entries."""
+    edge = np.diff(np.concatenate(([0], mask.astype(np.int64), [0])))
+    yield from zip(np.flatnonzero(edge == 1).tolist(), (np.flatnonzero(edge == -1) - 1).tolist(), strict=True)
+
+
+def _crossed(s: Array, distance: Array, k: int, step: int) -> float:
+    """Place [m] between sample k and the next one outside at which the distance is the clearance."""
+    out = k + step
+    if not 0 <= out < len(s):
+        return float(s[k])
+    part = (CLEARANCE_M - distance[k]) / (distance[out] - distance[k]) if np.isfinite(distance[out]) else 0.0
+    return float(s[k] + part * (s[out] - s[k]))
+
+
+def _without_forks(areas: _Areas, network: Network) -> None:
+    """Take areas away in which two lanes follow one another or part from each other.
+
+    A lane that follows within such an area goes on with it: its start is where the area with the lane before ends.
+    """
+    length = [lane.length_m for lane in network.lanes]
+    # lanes that are together at the start of one of them
+    parting = {
+        (i, j, k)
+        for (i, j), there in areas.items()
+        for k, area in enumerate(there)
+        if _follow(area, i, j, network, length) or _follow(_turned(area), j, i, network, length)
+        or (max(area.enter) <= _AT_END_M and set(network.before[i]) & set(network.before[j]))
+    }  # fmt: skip
+    size = -1
+    while size != len(parting):
+        size = len(parting)
+        for (i, j), there in areas.items():
+            for k, area in enumerate(there):
+                if _goes_on(area, i, j, areas, parting, network) or _goes_on(
+                    _turned(area), j, i, areas, parting, network
+                ):
+                    parting.add((i, j, k))
+    for (i, j), there in areas.items():
+        areas[i, j] = [area for k, area in enumerate(there) if (i, j, k) not in parting]
+
+
+def _turned(area: _Area) -> _Area:
+    return _Area(area.enter[::-1], area.leave[::-1])
+
+
+def _follow(area: _Area, i: int, j: int, network: Network, length: Sequence[float]) -> bool:
+    """Whether an area is the end of lane i and the start of lane j that follows it."""
+    return j in network.after[i] and area.leave[0] >= length[i] - _AT_END_M and area.enter[1] <= _AT_END_M
+
+
+def _goes_on(area: _Area, i: int, j: int, areas: _Areas, parting: set[tuple[int, int, int]], network: Network) -> bool:
+    """Whether an area at the start of lane j goes on with one of lane i and of a lane that j follows."""
+    if area.enter[1] > _AT_END_M:
+        return False
+    for before in network.before[j]:
+        pair = (min(i, before), max(i, before))
+        for k, last in enumerate(areas.get(pair, ())):
+            own, its = (0, 1) if pair[0] == i else (1, 0)
+            ends = last.leave[its] >= network.lanes[before].length_m - _AT_END_M
+            if (*pair, k) in parting and ends and last.leave[own] >= area.enter[0] - CLEARANCE_M:
+                return True
+    return False
