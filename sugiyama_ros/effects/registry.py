@@ -104,6 +104,7 @@ EFFECTS: Mapping[str, Effect] = {
             "averaged_reward",
             "look_ahead",
             "keeping_up",
+            "anticipated_leader",
             "rear_pressure",
             "comfort_limits",
             "limited_power",

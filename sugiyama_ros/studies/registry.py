@@ -32,6 +32,7 @@ STUDIES: Mapping[str, Study] = plugins.registered(
         "style_change",
         "filters",
         "controlled",
+        "beta_nash",
     ),
     "STUDY",
 )

@@ -48,6 +48,7 @@ ACTING = {
     "averaged_reward": {"share": 0.8},
     "look_ahead": {"extra": 0.7},
     "keeping_up": {"weight": 0.1, "range": 50.0},
+    "anticipated_leader": {"weight": 1.0},
     "rear_pressure": {"strength": 2.0, "distance": 4.0},
     "rear_pressure_utility": {"weight": 0.2},
     "comfort_limits": {"limit": 1.0},
