@@ -1,6 +1,6 @@
 """Where lanes cross or merge, out of their middle lines, and who yields there."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -39,7 +39,7 @@ def conflicts_of_geometry(
     priority: Mapping[str, float] | None = None,
     *,
     stop_m: Mapping[str, float] | None = None,
-    right_before_left: bool = False,
+    right_before_left: Collection[str] = (),
 ) -> tuple[Conflict, ...]:
     """Find where lanes cross or merge.
 
@@ -54,9 +54,9 @@ def conflicts_of_geometry(
         Priority of lanes by name, 0 for others. Drivers on a lane yield to those on a lane of a higher priority.
     stop_m : mapping of str to float, optional
         Place [m] on lanes by name where drivers wait; without it, they wait where the two lanes begin to be near.
-    right_before_left : bool
-        Whether drivers yield to those who come from the right, where lanes have the same priority; without it, nobody
-        yields by rule there.
+    right_before_left : collection of str, optional
+        Names of lanes on which drivers yield to those who come from the right on lanes of the same priority. Without
+        it, nobody yields by rule there.
 
     Returns
     -------
@@ -83,7 +83,7 @@ def conflicts_of_geometry(
             for a, b in ((0, 1), (1, 0)):
                 lane, other = lanes[pair[a]], lanes[pair[b]]
                 first = priority.get(other.name, 0.0) - priority.get(lane.name, 0.0)
-                if first == 0.0 and right_before_left:
+                if first == 0.0 and lane.name in right_before_left:
                     own, its = (lanes[pair[k]].line.heading(np.array([area.enter[k]]))[0] for k in (a, b))
                     # who drives towards the left comes from the right
                     first = np.sin(its - own)
@@ -109,7 +109,7 @@ def _areas(network: Network) -> _Areas:
 
 
 def _sampled(lane: Lanelet) -> _Sampled:
-    s = np.linspace(0.0, lane.length_m, int(np.ceil(lane.length_m / _STEP_M)) + 1)
+    s = np.linspace(0.0, lane.length_m, int(np.ceil(lane.length_m / _STEP_M)) + 1, dtype=np.float64)
     return _Sampled(s, np.stack(lane.line.at(s, np.zeros_like(s)), axis=1))
 
 

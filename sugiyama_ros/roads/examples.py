@@ -143,12 +143,12 @@ def _lane(name: str, point: Array, *successors: str) -> Lanelet:
 def _turned(point: Sequence[Sequence[float]] | Array, angle: float) -> Array:
     """Points (P, 2), turned around the middle."""
     cos, sin = np.cos(angle), np.sin(angle)
-    return np.asarray(point, dtype=np.float64) @ np.array([[cos, sin], [-sin, cos]])
+    return np.asarray(np.asarray(point) @ np.array([[cos, sin], [-sin, cos]]))
 
 
 def _arc(radius_m: float, begin: float, end: float) -> Array:
     angle = np.linspace(begin, end, max(3, int(np.ceil((end - begin) * radius_m)) + 1))
-    return radius_m * np.stack((np.cos(angle), np.sin(angle)), axis=1)
+    return np.asarray(radius_m * np.stack((np.cos(angle), np.sin(angle)), axis=1))
 
 
 def _curve(begin: Array, out: float, end: Array, into: float) -> Array:

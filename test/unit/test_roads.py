@@ -7,6 +7,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.roads.conflicts import CLEARANCE_M, conflicts_of_geometry
 from sugiyama_ros.roads.examples import crossing, merge, roundabout
 from sugiyama_ros.roads.network import Conflict, Lanelet, Network, Signal
+from sugiyama_ros.roads.routes import routes_of
 
 
 def arc(name: str, begin: float, end: float, radius_m: float = 20.0, **more: object) -> Lanelet:
@@ -97,7 +98,7 @@ def test_two_lanes_that_cross_meet_where_they_are_nearer_than_the_clearance() ->
             assert one.stop_m == one.enter_m
         assert tuple(one.yields for one in found) == yields, name
     # b drives to the left as seen from a: it comes from the right
-    assert [one.yields for one in conflicts_of_geometry(lanes, right_before_left=True)] == [True, False]
+    assert [one.yields for one in conflicts_of_geometry(lanes, right_before_left="ab")] == [True, False]
 
 
 def test_lanes_that_part_follow_or_lie_side_by_side_do_not_meet() -> None:
@@ -134,3 +135,54 @@ def test_roads_of_the_examples_have_the_conflicts_of_their_kind() -> None:
     assert green.sum(axis=1).tolist() == [25, 25, 25, 25]
     assert not (green[0] & green[1]).any()
     assert [one.yields for one in areas(merge(), "ramp", "main")] == [True]
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(5)
+
+
+def noisy_drives(network: Network, rng: np.random.Generator, vehicles: int) -> tuple[list[np.ndarray], list[list[int]]]:
+    """Vehicles on random ways, with a stop somewhere: vehicle, time, x and y of each row with 0.3 m noise; the ways."""
+    rows, ways = [], []
+    for vehicle in range(vehicles):
+        way = [int(rng.choice([k for k, before in enumerate(network.before) if not before]))]
+        while after := [k for k in network.after[way[-1]] if k not in way]:
+            way.append(int(rng.choice(after)))
+        path = network.path(way)
+        # up to where the last lane lies alone
+        s = np.arange(0.0, path.length_m - 1.0, rng.uniform(0.5, 1.2))
+        s = np.insert(s, rng.integers(len(s)), np.full(50, rng.choice(s)))
+        s.sort()
+        x, y, _ = path.at(s)
+        rows.append(np.stack((np.full(len(s), vehicle), 0.1 * np.arange(len(s)), *(rng.normal((x, y), 0.3)))))
+        ways.append(way)
+    return [*np.concatenate(rows, axis=1)], ways
+
+
+@pytest.mark.parametrize("network", [roundabout(), crossing(), merge()], ids=["roundabout", "crossing", "merge"])
+def test_routes_of_noisy_tracks_are_found(network: Network, rng: np.random.Generator) -> None:
+    (vehicle, time, x, y), ways = noisy_drives(network, rng, 100)
+    shuffled = rng.permutation(len(x))
+    found = routes_of(network, vehicle[shuffled].astype(int), time[shuffled], x[shuffled], y[shuffled])
+    right = 0
+    for k, way in enumerate(ways):
+        whose = vehicle[shuffled] == k
+        routes = np.unique(found.route[whose]).tolist()
+        # a way that ends because the next lane would come twice has no lane of its own at its end
+        right += len(routes) == 1 and found.paths[routes[0]].lanes in (tuple(way), tuple(way[:-1]))
+    assert right >= 99
+    assert np.nanstd(found.d_m) == pytest.approx(0.3, rel=0.1)
+
+
+def test_a_vehicle_that_turns_back_or_leaves_begins_another_route() -> None:
+    way = np.arange(0.0, 60.0, 0.5)
+    there = Lanelet("there", np.array([0.0, 60.0]), np.zeros(2))
+    back = Lanelet("back", np.array([60.0, 0.0]), np.full(2, 3.5))
+    x = np.concatenate((way, way[::-1], way))
+    y = np.concatenate((0.0 * way, 0.0 * way + 3.5, 0.0 * way + 20.0))
+    found = routes_of(Network((there, back)), np.zeros(len(x), dtype=int), 0.1 * np.arange(len(x)), x, y)
+    assert [one.lanes for one in found.paths] == [(0,), (1,)]
+    assert np.mean(found.route == np.repeat([0, 1, -1], len(way))) > 0.95
+    assert len(found.notes) == 2
+    np.testing.assert_allclose(np.diff(found.s_m[5:100]), 0.5)
