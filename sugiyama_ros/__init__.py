@@ -7,6 +7,7 @@ The Python interface in one line each, with ``import sugiyama_ros as sg``:
 - ``sg.calibrate(tracks)``: every driver's parameters, and how well the data hold them;
 - ``sg.compare(tracks)``: held-out errors beside other car-following laws;
 - ``sg.diagnose(tracks)``: which physical effect the model lacks;
+- ``sg.read_road(path)``: a road as a graph: lanes, places where they meet, and signals;
 - ``sg.read_recording(path)``: what the estimators published in a recorded run;
 - ``sg.report(run, page)``: a page about a recorded run, with a diagnosis if there is one;
 - ``sg.laws``, ``sg.effects``, ``sg.controllers``: what can be simulated, fitted and added, by name.
@@ -19,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sugiyama_ros import controllers, effects, laws
-    from sugiyama_ros.api import calibrate, compare, diagnose, read, read_recording, report, simulate
+    from sugiyama_ros.api import calibrate, compare, diagnose, read, read_recording, read_road, report, simulate
 
     __version__: str
 
@@ -33,6 +34,7 @@ __all__ = [
     "laws",
     "read",
     "read_recording",
+    "read_road",
     "report",
     "simulate",
 ]

@@ -27,6 +27,7 @@ from sugiyama_ros.fit.goals import goals_from
 from sugiyama_ros.fit.model_file import drive_by, drivers_of, read_model
 from sugiyama_ros.formats.choices import Choices, choices_of, read_choices, reference_of
 from sugiyama_ros.formats.registry import read_tracks
+from sugiyama_ros.formats.roads import read_road as read_road
 from sugiyama_ros.formats.table import tracks_of_frame
 from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.laws.registry import law as law_of

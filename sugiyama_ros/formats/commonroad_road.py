@@ -1,20 +1,37 @@
-"""The road of a CommonRoad scenario: lanelets, traffic signs, stop lines, traffic lights and intersections."""
+"""The road of a CommonRoad scenario: lanelets, traffic signs, stop lines, traffic lights and intersections.
 
-from collections.abc import Mapping
-from dataclasses import replace
+M. Althoff, M. Koschi, S. Manzinger: CommonRoad: Composable benchmarks for motion planning on roads. IEEE Intelligent
+Vehicles Symposium, 2017, doi 10.1109/IVS.2017.7995802. The form of the files is that of versions 2018b and 2020a.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.reading import number
-from sugiyama_ros.roads.network import Lanelet
+from sugiyama_ros.formats.reading import elements, number, root_of
+from sugiyama_ros.roads.conflicts import conflicts_of_geometry
+from sugiyama_ros.roads.network import Conflict, Lanelet, Network, Signal
 
 #: Points of all lanelets of a file, at most.
 MAX_POINTS = 200_000
+#: Time [s] between two steps where the file does not say it.
+USUAL_S = 0.1
 # Widths [m] of lanelets, at least and at most: some begin or end with no width at all.
 _WIDTHS_M = (0.5, 50.0)
+# Types of lanelets that are not for vehicles.
+_NOT_FOR_VEHICLES = {"crosswalk", "sidewalk", "bicycleLane"}
+# Traffic signs: yield and stop; right of way and priority road; a speed limit [m/s]. The numbers are German.
+_YIELD, _FIRST, _LIMIT = {"205", "206", "R1-1", "R1-2"}, {"301", "306"}, {"274", "274.1", "R2-1"}
+# Where the lanelets go for which a traffic light is.
+_GOES = {"left": "Left", "straight": "Straight", "right": "Right"}
+# Two roads come from opposite directions if the cosine of the angle between them is below this: more than 135 degrees.
+_OPPOSITE = -np.sqrt(0.5)
 
 
 def value_of(element: Element, name: str, where: str, of: str = "") -> float:
@@ -34,16 +51,16 @@ def lanelet_of(element: Element, path: Path) -> Lanelet:
             f"{where}: {len(left)} points on the left and {len(right)} on the right; give two or more of each"
         )
     middle = 0.5 * (left + right)
-    kept = np.concatenate(([True], np.hypot(*np.diff(middle, axis=0).T) > 0.0))
+    x, y = middle[np.concatenate(([True], np.hypot(*np.diff(middle, axis=0).T) > 0.0))].T
     beside_left, beside_right = (
         next((one.get("ref", "") for one in element.iterfind(side) if one.get("drivingDir", "same") == "same"), "")
         for side in ("adjacentLeft", "adjacentRight")
     )
     width = float(np.clip(np.hypot(*(left - right).T).mean(), *_WIDTHS_M))
-    after = tuple(one.get("ref", "") for one in element.iterfind("successor"))
     try:
-        x, y = middle[kept].T
-        return Lanelet(element.get("id", ""), x, y, after, beside_left, beside_right, width_m=width)
+        return Lanelet(
+            element.get("id", ""), x, y, _refs(element, "successor"), beside_left, beside_right, width_m=width
+        )
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
@@ -59,3 +76,174 @@ def linked(lanelets: Mapping[str, Lanelet]) -> tuple[Lanelet, ...]:
         )
         for one in lanelets.values()
     )
+
+
+def read_commonroad_road(path: Path) -> Network:
+    """Read the road of a scenario. Raises InputError."""
+    said = root_of(path).get("timeStepSize")
+    period = USUAL_S if said is None else number(said.strip(), "timeStepSize", str(path))
+    file = _Scenario()
+    count = 0
+    for element in elements(path, "lanelet", "trafficSign", "trafficLight", "intersection"):
+        name = element.get("id", "")
+        if element.tag == "trafficSign":
+            file.signs[name] = [*_signs(element, path)]
+        elif element.tag == "trafficLight":
+            file.lights[name] = _light(element, path, period)
+        elif element.tag == "intersection":
+            file.incoming += [
+                ({goes: _refs(one, f"successors{goes}") for goes in _GOES.values()}, _refs(one, "incomingLanelet"))
+                for one in element.iterfind("incoming")
+            ]
+        elif not {one.text for kind in ("laneletType", "type") for one in element.iterfind(kind)} & _NOT_FOR_VEHICLES:
+            file.lanelets[name] = lanelet_of(element, path)
+            file.signs_of[name] = _refs(element, "trafficSignRef")
+            file.lights_of[name] = _refs(element, "trafficLightRef")
+            if element.find("stopLine") is not None:
+                points = element.iterfind("stopLine/point")
+                file.stop[name] = [(value_of(p, "x", str(path)), value_of(p, "y", str(path))) for p in points]
+            count += len(file.lanelets[name].x_m)
+        if count > MAX_POINTS:
+            raise InputError(f"{path}: more than {MAX_POINTS} points of lanelets; split the file")
+    if not file.lanelets:
+        raise InputError(f"{path}: no lanelets; give a scenario with a road")
+    return _network(file)
+
+
+class _Light(NamedTuple):
+    """A traffic light: where the lanelets go for which it is (empty for everywhere), and its phases as of `Signal`."""
+
+    goes: tuple[str, ...]
+    change_s: Array
+    red: Mask
+    cycle_s: float
+
+
+@dataclass
+class _Scenario:
+    """What a file says: of lanelets by name, of signs and lights by name, and where incoming lanelets lead."""
+
+    lanelets: dict[str, Lanelet] = field(default_factory=dict)
+    signs_of: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    lights_of: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    stop: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    signs: dict[str, list[tuple[str, float]]] = field(default_factory=dict)
+    lights: dict[str, _Light] = field(default_factory=dict)
+    incoming: list[tuple[dict[str, tuple[str, ...]], tuple[str, ...]]] = field(default_factory=list)
+
+
+class _Arm(NamedTuple):
+    """How vehicles come to a lanelet of an intersection: their heading [rad] before; whether to turn left; a light."""
+
+    heading: float
+    left: bool
+    has_light: bool
+
+
+def _refs(element: Element, name: str) -> tuple[str, ...]:
+    return tuple(one.get("ref", "") for one in element.iterfind(name))
+
+
+def _signs(element: Element, path: Path) -> Iterator[tuple[str, float]]:
+    """The signs at a place: the number of each, and the value on it, or NaN."""
+    for one in element.iterfind("trafficSignElement"):
+        kind, value = one.findtext("trafficSignID", "").strip(), one.findtext("additionalValue", "").strip()
+        where = f"{path}: traffic sign {element.get('id', '')[:40]}"
+        yield kind, number(value, "additionalValue", where) if kind in _LIMIT and value else np.nan
+
+
+def _light(element: Element, path: Path, period_s: float) -> _Light:
+    where = f"{path}: traffic light {element.get('id', '')[:40]}"
+    phases = [*element.iterfind("cycle/cycleElement")]
+    if element.findtext("active", "true").strip().lower() == "false":
+        phases = []
+    duration = np.array([value_of(one, "duration", where) for one in phases]) * period_s
+    if not (duration > 0.0).all():
+        raise InputError(f"{where}: a phase lasts {duration.min():g} s; give times above 0")
+    red = np.array([one.findtext("color", "").strip() not in ("green", "inactive") for one in phases], dtype=bool)
+    offset = value_of(element, "cycle/timeOffset", where) if element.find("cycle/timeOffset") is not None else 0.0
+    cycle = float(duration.sum())
+    begin = np.mod(offset * period_s + np.cumsum(duration) - duration, cycle or np.inf)
+    order = np.argsort(begin)
+    direction = element.findtext("direction", "all").strip().lower()
+    goes = tuple(_GOES[name] for name in _GOES if name in direction)
+    return _Light(goes, begin[order], red[order], cycle)
+
+
+def _network(file: _Scenario) -> Network:
+    lanelets = {
+        name: replace(one, speed_limit=min([value for kind, value in _of(file, name) if kind in _LIMIT and value > 0.0]
+                                           or [np.inf]))
+        for name, one in file.lanelets.items()
+    }  # fmt: skip
+    bare = Network(linked(lanelets))
+    priority: dict[str, int] = {}
+    stop_m: dict[str, float] = {}
+    for k, lane in enumerate(bare.lanes):
+        kinds = {kind for kind, _ in _of(file, lane.name)}
+        if sign := -1 if kinds & _YIELD else int(bool(kinds & _FIRST)):
+            place = _stop(file, lane)
+            for other, way_m in bare.arm(k).items():
+                name = bare.lanes[other].name
+                priority[name] = min(sign, priority.get(name, sign))
+                if sign < 0 and lane.name in file.stop:
+                    stop_m[name] = place - way_m
+    arms = _arms(file, bare)
+    found = conflicts_of_geometry(bare.lanes, priority, stop_m)
+    conflicts = tuple(replace(one, yields=one.yields or _yields(one, priority, arms)) for one in found)
+    return Network(bare.lanes, conflicts, _signals(file, bare))
+
+
+def _of(file: _Scenario, name: str) -> list[tuple[str, float]]:
+    """The signs of a lanelet."""
+    return [one for sign in file.signs_of[name] for one in file.signs.get(sign, ())]
+
+
+def _stop(file: _Scenario, lane: Lanelet) -> float:
+    """Place [m] on a lanelet of its stop line: without points, its end."""
+    if not file.stop.get(lane.name):
+        return lane.length_m
+    x, y = np.mean(file.stop[lane.name], axis=0)
+    s, _ = lane.line.project(np.array([x]), np.array([y]))
+    return float(np.clip(s[0], 0.0, lane.length_m))
+
+
+def _arms(file: _Scenario, network: Network) -> dict[str, _Arm]:
+    """How vehicles come to each lanelet of an intersection."""
+    arms = {}
+    names = {lane.name for lane in network.lanes}
+    for leads, incoming in file.incoming:
+        before = [network.lanes[network.number(name)] for name in incoming if name in names]
+        for goes, after in leads.items():
+            for name in (one for one in after if one in names and before):
+                heading = float(before[0].line.heading(np.array([before[0].length_m]))[0])
+                lit = any(file.lights_of[one] for one in (*(lane.name for lane in before), name))
+                for k in network.arm(network.number(name)):
+                    arms[network.lanes[k].name] = _Arm(heading, goes == "Left", lit)
+    return arms
+
+
+def _yields(one: Conflict, priority: Mapping[str, float], arms: Mapping[str, _Arm]) -> bool:
+    """Whether drivers yield where no sign says it: to those who come towards them, or from the right."""
+    own, its = arms.get(one.lane), arms.get(one.other)
+    if own is None or its is None or priority.get(one.lane, 0.0) != priority.get(one.other, 0.0):
+        return False
+    if np.cos(its.heading - own.heading) < _OPPOSITE:
+        return own.left and not its.left
+    # who drives towards the left comes from the right
+    return not (own.has_light or its.has_light) and bool(np.sin(its.heading - own.heading) > 0.0)
+
+
+def _signals(file: _Scenario, network: Network) -> tuple[Signal, ...]:
+    """The first traffic light of each lanelet, or of each lanelet behind it for which it is."""
+    goes_of = {name: goes for leads, _ in file.incoming for goes, names in leads.items() for name in names}
+    found: dict[str, Signal] = {}
+    for lane in network.lanes:
+        stop = _stop(file, lane)
+        for light in (file.lights[name] for name in file.lights_of[lane.name] if name in file.lights):
+            own = not light.goes or goes_of.get(lane.name) in light.goes
+            behind = [name for name in lane.successors if goes_of.get(name) in light.goes]
+            places: Sequence[tuple[str, float]] = [(name, stop - lane.length_m) for name in behind]
+            for name, stop_m in [(lane.name, stop)] if own else places:
+                found.setdefault(name, Signal(name, stop_m, *light[1:]))
+    return tuple(found.values())

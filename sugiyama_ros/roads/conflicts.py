@@ -1,6 +1,6 @@
 """Where lanes cross or merge, out of their middle lines, and who yields there."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -10,6 +10,8 @@ from sugiyama_ros.roads.network import Conflict, Lanelet, Network
 
 #: Middle lines that are nearer than this [m] leave no room for two vehicles: a car is about 2 m wide.
 CLEARANCE_M = 2.5
+# The same as a part of the width of narrow lanes: vehicles pass each other on lanes side by side, however narrow.
+_OF_WIDTH = 0.8
 # Way [m] between the points of a middle line at which it is compared with others.
 _STEP_M = 0.5
 # An area that begins this near [m] to the start of a lane begins there.
@@ -37,26 +39,22 @@ _Areas: TypeAlias = dict[tuple[int, int], list[_Area]]
 def conflicts_of_geometry(
     lanes: Sequence[Lanelet],
     priority: Mapping[str, float] | None = None,
-    *,
     stop_m: Mapping[str, float] | None = None,
-    right_before_left: Collection[str] = (),
 ) -> tuple[Conflict, ...]:
     """Find where lanes cross or merge.
 
-    Two lanes meet where their middle lines are nearer than 2.5 m. Lanes that follow one another, that lie side by side,
-    or that part from each other do not meet.
+    Two lanes meet where their middle lines are nearer than 2.5 m, or than 0.8 times their width if they are narrow.
+    Lanes that follow one another, that lie side by side, or that part from each other do not meet.
 
     Parameters
     ----------
     lanes : sequence of Lanelet
         The lanes.
     priority : mapping of str to float, optional
-        Priority of lanes by name, 0 for others. Drivers on a lane yield to those on a lane of a higher priority.
+        Priority of lanes by name, 0 for others. Drivers on a lane yield to those on a lane of a higher priority; of
+        two lanes with the same priority, none yields by rule.
     stop_m : mapping of str to float, optional
         Place [m] on lanes by name where drivers wait; without it, they wait where the two lanes begin to be near.
-    right_before_left : collection of str, optional
-        Names of lanes on which drivers yield to those who come from the right on lanes of the same priority. Without
-        it, nobody yields by rule there.
 
     Returns
     -------
@@ -82,14 +80,10 @@ def conflicts_of_geometry(
         for area in there:
             for a, b in ((0, 1), (1, 0)):
                 lane, other = lanes[pair[a]], lanes[pair[b]]
-                first = priority.get(other.name, 0.0) - priority.get(lane.name, 0.0)
-                if first == 0.0 and lane.name in right_before_left:
-                    own, its = (lanes[pair[k]].line.heading(np.array([area.enter[k]]))[0] for k in (a, b))
-                    # who drives towards the left comes from the right
-                    first = np.sin(its - own)
+                yields = priority.get(lane.name, 0.0) < priority.get(other.name, 0.0)
                 stop = min(stop_m.get(lane.name, np.inf), area.enter[a])
                 places = (stop, area.enter[a], area.leave[a], area.enter[b], area.leave[b])
-                found.append(Conflict(lane.name, other.name, *places, yields=bool(first > 0.0)))
+                found.append(Conflict(lane.name, other.name, *places, yields))
     return tuple(found)
 
 
@@ -104,7 +98,8 @@ def _areas(network: Network) -> _Areas:
         for j in (i + 1 + np.flatnonzero(overlap)).tolist():
             other = network.lanes[j]
             if other.name not in (lane.left, lane.right) and lane.name not in (other.left, other.right):
-                areas[i, j] = [*_near(sampled[i], sampled[j])]
+                clearance = min(CLEARANCE_M, 0.5 * _OF_WIDTH * (lane.width_m + other.width_m))
+                areas[i, j] = [*_near(sampled[i], sampled[j], clearance)]
     return areas
 
 
@@ -113,21 +108,21 @@ def _sampled(lane: Lanelet) -> _Sampled:
     return _Sampled(s, np.stack(lane.line.at(s, np.zeros_like(s)), axis=1))
 
 
-def _near(one: _Sampled, other: _Sampled) -> Iterator[_Area]:
+def _near(one: _Sampled, other: _Sampled, clearance: float) -> Iterator[_Area]:
     """The parts in which two middle lines are near."""
     distance, place = _distance(one.point, other)
     back, _ = _distance(other.point, one)
-    near_other = back < CLEARANCE_M
-    for first, last in _runs(distance < CLEARANCE_M):
+    near_other = back < clearance
+    for first, last in _runs(distance < clearance):
         on = place[first : last + 1]
         # samples of the other line at or around the places that this one is near to
-        beside = near_other & (other.s > on.min() - CLEARANCE_M) & (other.s < on.max() + CLEARANCE_M)
+        beside = near_other & (other.s > on.min() - clearance) & (other.s < on.max() + clearance)
         if not beside.any():
             continue
         its_first, its_last = np.flatnonzero(beside)[[0, -1]].tolist()
         ends = [
-            (_crossed(one.s, distance, first, -1), _crossed(one.s, distance, last, 1)),
-            (_crossed(other.s, back, its_first, -1), _crossed(other.s, back, its_last, 1)),
+            tuple(_crossed(s, far, k, step, clearance) for k, step in zip(run, (-1, 1), strict=True))
+            for s, far, run in ((one.s, distance, (first, last)), (other.s, back, (its_first, its_last)))
         ]
         if all(begin < end for begin, end in ends):
             yield _Area(*zip(*ends, strict=True))
@@ -156,12 +151,12 @@ def _runs(mask: Mask) -> Iterator[tuple[int, int]]:
     yield from zip(np.flatnonzero(edge == 1).tolist(), (np.flatnonzero(edge == -1) - 1).tolist(), strict=True)
 
 
-def _crossed(s: Array, distance: Array, k: int, step: int) -> float:
+def _crossed(s: Array, distance: Array, k: int, step: int, clearance: float) -> float:
     """Place [m] between sample k and the next one outside at which the distance is the clearance."""
     out = k + step
-    if not 0 <= out < len(s):
+    if not (0 <= out < len(s) and clearance <= distance[out] < np.inf):
         return float(s[k])
-    part = (CLEARANCE_M - distance[k]) / (distance[out] - distance[k]) if np.isfinite(distance[out]) else 0.0
+    part = (clearance - distance[k]) / (distance[out] - distance[k])
     return float(s[k] + part * (s[out] - s[k]))
 
 

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 _HALF_M = 2.5
 # Ends of lanes that are nearer than this [m] meet in their middle; a wider hole is a straight piece of the path.
 _JOINT_M = 1.0
+# Way [m] behind a lane within which a crossing ends.
+_REACH_M = 50.0
 # Two points that are nearer than this [m] are the same point.
 _SAME_M = 2e-3
 
@@ -149,7 +151,8 @@ class Signal:
         Place [m] on the lane where front bumpers wait.
     change_s : numpy.ndarray, shape (S,)
         Times [s] at which the signal changes, rising; within a cycle if there is one. What it shows first, it also
-        shows before; what it shows last lasts, or lasts until the next cycle begins with what it shows first.
+        shows before; what it shows last lasts, or lasts until the next cycle begins with what it shows first. Without
+        times, nothing is known of its colours: it is never red.
     red : numpy.ndarray, shape (S,)
         Whether vehicles have to stop from each of these times on.
     cycle_s : float
@@ -169,38 +172,37 @@ class Signal:
 
     def __post_init__(self) -> None:
         where, times = f"signal of lane {self.lane}", self.change_s
-        if not len(times) or len(times) != len(self.red) or not (np.diff(times) > 0.0).all():
+        if len(times) != len(self.red) or not (np.diff(times) > 0.0).all():
             raise InputError(f"{where}: its {len(times)} times do not rise, or do not have a colour each; correct them")
-        within = not self.cycle_s or (times[0] >= 0.0 and times[-1] < self.cycle_s)
+        within = not (self.cycle_s and len(times)) or (times[0] >= 0.0 and times[-1] < self.cycle_s)
         if not (np.isfinite(times).all() and 0.0 <= self.cycle_s < np.inf and within):
             raise InputError(f"{where}: its times do not lie within a cycle of {self.cycle_s:g} s; correct them")
 
     def red_at(self, time_s: Array) -> Mask:
         """Whether vehicles have to stop at times (N,) [s]."""
-        shown, _ = self._shown(np.asarray(time_s, dtype=np.float64))
-        return np.asarray(self.red[shown])
+        time = self._within(time_s)
+        if not len(self.red):
+            return np.zeros(len(time), dtype=bool)
+        shown = np.searchsorted(self.change_s, time, side="right") - 1
+        # before its first change, a cycle goes on with the end of the one before
+        return np.asarray(self.red[np.where(shown < 0, len(self.red) - 1 if self.cycle_s else 0, shown)])
 
     def changes(self, time_s: Array) -> tuple[Array, Array]:
         """Time [s] since the last change of colour and until the next one, at times (N,) [s]; infinite for none."""
-        colours = np.flatnonzero(np.diff(self.red, prepend=self.red[-1] if self.cycle_s else ~self.red[0]))
-        times, time = self.change_s[colours], np.asarray(time_s, dtype=np.float64)
-        if not self.cycle_s:
-            # what a signal shows first, it also shows before
-            around = np.concatenate(([-np.inf], times[1:], [np.inf]))
-        elif len(times):
-            time = np.mod(time, self.cycle_s)
-            around = np.concatenate(([times[-1] - self.cycle_s], times, [times[0] + self.cycle_s]))
-        else:
-            around = np.array([-np.inf, np.inf])
-        after = np.clip(np.searchsorted(around, time, side="right"), 1, len(around) - 1)
-        return np.asarray(time - around[after - 1]), np.asarray(around[after] - time)
+        time = self._within(time_s)
+        before = np.roll(self.red, 1) if self.cycle_s else np.concatenate((self.red[:1], self.red[:-1]))
+        change = self.change_s[self.red != before]
+        first, last = (-np.inf, np.inf)
+        if self.cycle_s and len(change):
+            first, last = change[-1] - self.cycle_s, change[0] + self.cycle_s
+        around = np.concatenate(([first], change, [last]))
+        k = np.searchsorted(change, time, side="right")
+        return np.asarray(time - around[k]), np.asarray(around[k + 1] - time)
 
-    def _shown(self, time: Array) -> tuple[Ints, Array]:
-        """Number of the time from which on it shows what it shows, and the time within the cycle."""
-        within = np.mod(time, self.cycle_s) if self.cycle_s else time
-        shown = np.searchsorted(self.change_s, within, side="right") - 1
-        # before the first change, a cycle goes on with the end of the one before
-        return np.where(shown < 0, len(self.red) - 1 if self.cycle_s else 0, shown), within
+    def _within(self, time_s: Array) -> Array:
+        """Times within a cycle, if there is one."""
+        time = np.asarray(time_s, dtype=np.float64)
+        return np.mod(time, self.cycle_s) if self.cycle_s else time
 
 
 @dataclass(frozen=True)
@@ -385,6 +387,18 @@ class Network(Result):
             for other in after:
                 found[other].append(k)
         return tuple(map(tuple, found))
+
+    def arm(self, lane: int) -> dict[int, float]:
+        """The part of a crossing that vehicles reach only by way of a lane: lanes, and the way [m] from its start."""
+        found, waiting = {lane: 0.0}, [lane]
+        while waiting:
+            one = waiting.pop(0)
+            way_m = found[one] + self.lanes[one].length_m
+            for after in self.after[one]:
+                if after not in found and self.before[after] == (one,) and way_m < self.lanes[lane].length_m + _REACH_M:
+                    found[after] = way_m
+                    waiting.append(after)
+        return found
 
     @cached_property
     def conflicts_of(self) -> tuple[tuple[Conflict, ...], ...]:

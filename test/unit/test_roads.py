@@ -97,8 +97,7 @@ def test_two_lanes_that_cross_meet_where_they_are_nearer_than_the_clearance() ->
             np.testing.assert_allclose(places, 30.0 + reach * np.array([-1.0, 1.0, -1.0, 1.0]), atol=1e-6)
             assert one.stop_m == one.enter_m
         assert tuple(one.yields for one in found) == yields, name
-    # b drives to the left as seen from a: it comes from the right
-    assert [one.yields for one in conflicts_of_geometry(lanes, right_before_left="ab")] == [True, False]
+    assert [one.yields for one in conflicts_of_geometry(lanes)] == [False, False]
 
 
 def test_lanes_that_part_follow_or_lie_side_by_side_do_not_meet() -> None:
