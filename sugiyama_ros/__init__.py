@@ -8,6 +8,7 @@ The Python interface in one line each, with ``import sugiyama_ros as sg``:
 - ``sg.compare(tracks)``: held-out errors beside other car-following laws;
 - ``sg.diagnose(tracks)``: which physical effect the model lacks;
 - ``sg.read_road(path)``: a road as a graph: lanes, places where they meet, and signals;
+- ``sg.filter_plane(x_m, y_m, line, period_s)``: a car in the plane, with heading and steering angle;
 - ``sg.read_recording(path)``: what the estimators published in a recorded run;
 - ``sg.report(run, page)``: a page about a recorded run, with a diagnosis if there is one;
 - ``sg.laws``, ``sg.effects``, ``sg.controllers``: what can be simulated, fitted and added, by name.
@@ -20,7 +21,17 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sugiyama_ros import controllers, effects, laws
-    from sugiyama_ros.api import calibrate, compare, diagnose, read, read_recording, read_road, report, simulate
+    from sugiyama_ros.api import (
+        calibrate,
+        compare,
+        diagnose,
+        filter_plane,
+        read,
+        read_recording,
+        read_road,
+        report,
+        simulate,
+    )
 
     __version__: str
 
@@ -31,6 +42,7 @@ __all__ = [
     "controllers",
     "diagnose",
     "effects",
+    "filter_plane",
     "laws",
     "read",
     "read_recording",

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.calibration.calibrate import calibrate_drivers
@@ -19,9 +20,11 @@ from sugiyama_ros.diagnosis import diagnose as diagnosis
 from sugiyama_ros.diagnosis.candidates import check_names
 from sugiyama_ros.diagnosis.compare import Comparison
 from sugiyama_ros.diagnosis.diagnose import Diagnosis
-from sugiyama_ros.driver.parameters import defaults
+from sugiyama_ros.driver.bicycle import CAR, car_of
+from sugiyama_ros.driver.parameters import NAMES, defaults, population
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.filters.plane import PlaneEstimates, PlaneFilter, plane_track
 from sugiyama_ros.fit.driver import Formulation
 from sugiyama_ros.fit.goals import goals_from
 from sugiyama_ros.fit.model_file import drive_by, drivers_of, read_model
@@ -39,6 +42,8 @@ from sugiyama_ros.progress import stages
 from sugiyama_ros.results import plain
 from sugiyama_ros.simulation.experiment import Experiment, carry_out, changed
 from sugiyama_ros.simulation.result import Simulation
+from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M
+from sugiyama_ros.trajectories.centre_line import CentreLine
 from sugiyama_ros.trajectories.tracks import Tracks
 
 if TYPE_CHECKING:
@@ -367,6 +372,80 @@ def diagnose(
             workers=os.cpu_count() or 1,
             on_progress=advance,
         )
+
+
+def filter_plane(
+    x_m: ArrayLike,
+    y_m: ArrayLike,
+    line: ArrayLike,
+    period_s: float,
+    *,
+    heading: ArrayLike | None = None,
+    ahead_m: ArrayLike | None = None,
+    length_m: float = DEFAULT_LENGTH_M,
+    parameters: Mapping[str, float] | None = None,
+) -> PlaneEstimates:
+    """Filter a car in the plane, as a kinematic bicycle along a wanted line behind the vehicles on this line.
+
+    Parameters
+    ----------
+    x_m, y_m : array_like, shape (T,)
+        Measured places [m] of the car; NaN where missing.
+    line : array_like, shape (K, 2)
+        Points [m] of the wanted line in the direction of driving; a ring if the last point is the first.
+    period_s : float
+        Time [s] between two samples.
+    heading : array_like, shape (T,), optional
+        Measured heading [rad], counter-clockwise from the x axis; NaN where missing.
+    ahead_m : array_like, shape (T,) or (T, M - 1), optional
+        Measured positions [m] along the line of the vehicles ahead, the nearest first; nobody is ahead without it.
+    length_m : float
+        Length [m] of the vehicles.
+    parameters : mapping of str to float, optional
+        Parameters of the driver and of the car, such as ``{"v_star": 8.0, "l_f": 1.1}``; the usual ones where they are
+        left out.
+
+    Returns
+    -------
+    PlaneEstimates
+        Place, heading, speed, acceleration and steering angle at each sample, and how well each was predicted.
+
+    Raises
+    ------
+    InputError
+        For arrays of different lengths, a line that is none, and parameters that are not known or out of bounds.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sugiyama_ros as sg
+    >>> angle = np.linspace(0.0, 2.0 * np.pi, 361)
+    >>> circle = 37.0 * np.column_stack([np.cos(angle), np.sin(angle)])
+    >>> turned = 8.0 * 0.1 * np.arange(100) / 37.0
+    >>> x_m, y_m = 37.0 * np.cos(turned), 37.0 * np.sin(turned)
+    >>> found = sg.filter_plane(x_m, y_m, circle, 0.1, parameters={"v_star": 8.0})
+    >>> round(float(found.speed[-1]), 1)
+    8.0
+    """
+    points = np.asarray(line, np.float64)
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise InputError(f"line: has shape {points.shape}; give points as (K, 2)")
+    _check_within("period_s", period_s, 1e-3, 10.0)
+    track = plane_track(x_m, y_m, heading, ahead_m, length_m)
+    driver, car = _driver_and_car(parameters or {})
+    return PlaneFilter(CentreLine(*points.T), period_s, track.vehicles, driver, car=car).run(track)
+
+
+def _driver_and_car(given: Mapping[str, float]) -> tuple[Array, Array]:
+    """Parameters of a driver and of a car, the usual ones where they are not given."""
+    driver, car, of_car = population(), car_of(), [p.name for p in CAR]
+    _check_names("parameters", given, (*NAMES, *of_car))
+    for name, value in given.items():
+        if name in NAMES:
+            driver[NAMES.index(name)] = value
+        else:
+            car[of_car.index(name)] = value
+    return driver, car
 
 
 def read_recording(path: str | Path) -> Recording:

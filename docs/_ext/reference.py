@@ -18,6 +18,7 @@ import sugiyama_ros as sg
 from sugiyama_ros.cli.app import app as commands_app
 from sugiyama_ros.diagnosis.check import Check
 from sugiyama_ros.diagnosis.where import Bin
+from sugiyama_ros.driver.bicycle import CAR
 from sugiyama_ros.driver.parameters import PARAMETERS, Parameter
 from sugiyama_ros.formats.registry import formats
 from sugiyama_ros.page.document import Addition, Tried
@@ -126,6 +127,9 @@ def parameters() -> str:
         " descriptors, the model files, the command line and the reports read this declaration. The defaults hold for"
         " a time of 1/3 s between samples.\n",
         declared(PARAMETERS),
+        "## Of a car in the plane\n",
+        "They are declared in `sugiyama_ros/driver/bicycle.py`; {doc}`/bicycle` says what they mean.\n",
+        declared(CAR),
         "## Of the nodes\n",
         "The package installs these parameter files, one for each node.\n",
     ]

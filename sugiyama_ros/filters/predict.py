@@ -96,7 +96,7 @@ def _aim_driver(m: int, step: FilterStep, free: int) -> int:
     view = _view_of(m, state, drivers)
     size = _look(m, view, recalled, len(known), len(adapted), places)
     step.points[m, 0], step.points[m, 1] = size, free
-    _root(state.covariance, places, size, work)
+    cholesky(state.covariance, places, size, work)
     centre = size
     for i in range(size):
         work[centre, i] = mean[places[0, i]] - (mean[places[1, i]] if places[1, i] >= 0 else 0.0)
@@ -108,7 +108,7 @@ def _aim_driver(m: int, step: FilterStep, free: int) -> int:
     if len(adapted) == 0 and view != _RECALLING and sees_as_it_is(driver):
         wanted = preferences(driver)
         for point in range(2 * size):
-            _look_around(work, size, point)
+            look_around(work, size, point)
             if view == _ALONE:
                 put_into(batch, free + point, np.inf, work[look, 0], 0.0, wanted)
             else:
@@ -116,7 +116,7 @@ def _aim_driver(m: int, step: FilterStep, free: int) -> int:
         return free + 2 * size
     here = _surroundings(m, step)
     for point in range(2 * size):
-        _look_around(work, size, point)
+        look_around(work, size, point)
         for k in range(len(adapted)):
             driver[UTILITY[adapted[k]]] = math.exp(work[look, first_adapted + k])
         perceived = perceive(_seen_at(here, work, m, size, view, step), driver)
@@ -165,7 +165,7 @@ def _look(m: int, view: int, recalled: int, vehicles: int, adapted: int, places:
 
 
 @kernel(allocates=False)
-def _root(covariance: Array, places: Ints, size: int, root: Array) -> None:
+def cholesky(covariance: Array, places: Ints, size: int, root: Array) -> None:
     """Fill in the lower Cholesky factor of the covariance of the quantities in ``places`` of ``_look``."""
     for i in range(size):
         plus, minus = places[0, i], places[1, i]
@@ -202,7 +202,7 @@ def _side_of(size: int, point: int) -> float:
 
 
 @kernel(allocates=False)
-def _look_around(work: Array, size: int, point: int) -> None:
+def look_around(work: Array, size: int, point: int) -> None:
     """Fill in the row below the centre with one of the points of the cubature."""
     side = _side_of(size, point)
     for i in range(size):
@@ -259,7 +259,7 @@ def _surroundings(m: int, step: FilterStep) -> Seen:
 
 @kernel(allocates=False)
 def _seen_at(here: Seen, work: Array, m: int, size: int, view: int, step: FilterStep) -> Seen:
-    """Return what driver m sees at the point of the cubature that ``_look_around`` has filled in."""
+    """Return what driver m sees at the point of the cubature that ``look_around`` has filled in."""
     known, parameters = step.state.known, step.drivers.parameters
     centre, look = size, size + 1
     acceleration, leader_acceleration = here.acceleration, here.leader_acceleration
@@ -320,7 +320,7 @@ def _add_components(m: int, step: FilterStep) -> None:
     view = _view_of(m, step.state, step.drivers)
     here, shared = _surroundings(m, step), (batch.grid.actions, step.scene.period_s, step.scene.horizon, driver)
     for point in range(2 * size):
-        _look_around(work, size, point)
+        look_around(work, size, point)
         perceived = perceive(_seen_at(here, work, m, size, view, step), driver)
         wanted = prefer(perceived, driver)
         block, slot = (first + point) // SLOTS, UTILITIES + (first + point) % SLOTS
@@ -359,11 +359,11 @@ def _expected_action(m: int, step: FilterStep, period_s: float) -> _Expected:
             chosen[0, point] = chosen[1, point] = action
     # below the root stand rows of their own
     cross = size + 2
-    held, held_var = _moments(chosen[0], work[cross], size)
-    _regress(work, cross, places, size, step.held_slope)
+    held, held_var = moments(chosen[0], work[cross], size)
+    regress(work, cross, places, size, step.held_slope)
     if changed:
-        action, action_var = _moments(chosen[1], work[cross], size)
-        _regress(work, cross, places, size, step.slope)
+        action, action_var = moments(chosen[1], work[cross], size)
+        regress(work, cross, places, size, step.slope)
     else:
         action, action_var = held, held_var
         for i in range(len(step.slope)):
@@ -380,7 +380,7 @@ def _choose(m: int, step: FilterStep) -> None:
     view, by_law = _view_of(m, step.state, step.drivers), not seeks(driver)
     here = _surroundings(m, step)
     for point in range(2 * size):
-        _look_around(work, size, point)
+        look_around(work, size, point)
         seen = _seen_at(here, work, m, size, view, step)
         if by_law:
             perceived = perceive(seen, driver)
@@ -392,7 +392,7 @@ def _choose(m: int, step: FilterStep) -> None:
 
 
 @kernel(allocates=False)
-def _moments(chosen: Array, cross: Array, size: int) -> tuple[float, float]:
+def moments(chosen: Array, cross: Array, size: int) -> tuple[float, float]:
     """Return the mean of what was chosen at the points, and the variance that no regression on the state explains.
 
     cross: (size,), overwritten with the covariances of what was chosen with the columns of the root.
@@ -412,7 +412,7 @@ def _moments(chosen: Array, cross: Array, size: int) -> tuple[float, float]:
 
 
 @kernel(allocates=False)
-def _regress(work: Array, row: int, places: Ints, size: int, slope: Array) -> None:
+def regress(work: Array, row: int, places: Ints, size: int, slope: Array) -> None:
     """Fill in the regression of an action on the state.
 
     work: the root, and in ``row`` what the action shares with each column of the root; that row is overwritten.
