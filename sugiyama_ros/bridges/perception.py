@@ -308,7 +308,7 @@ class Moments:
 
 
 class RoadSample(NamedTuple):
-    """Number of a sample, its stamp [ns], and all vehicles on the road then.
+    """Number of a sample, its stamp [ns], all vehicles on the road then, and those of them that were seen, first.
 
     A vehicle without a sample at this time has no position, but a lane and a leader.
     """
@@ -316,6 +316,7 @@ class RoadSample(NamedTuple):
     step: int
     stamp_ns: int
     positions: Positions
+    placed: list[OnLane]
 
 
 class Perception:
@@ -390,7 +391,7 @@ class Perception:
             stamp_offset_s=offset + [0.0] * len(moment.carried),
             position_var=var + nan if any(map(math.isfinite, var)) else [],
         )
-        return RoadSample(moment.step, moment.stamp_ns, positions)
+        return RoadSample(moment.step, moment.stamp_ns, positions, moment.placed)
 
     def _length_of(self, seen: SeenVehicle) -> float:
         """Length [m] of a vehicle; it stays as it was said first."""

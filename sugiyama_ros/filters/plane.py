@@ -40,8 +40,8 @@ class PlaneTrack:
         if left out.
     identity : ndarray of int, shape (T, M), optional
         Numbers of the vehicles, own first, -1 for none; by default the vehicles stay the same.
-    length_m : float
-        Length [m] of the vehicles.
+    length_m : float or ndarray, shape (M,)
+        Length [m] of all vehicles, or of each.
     """
 
     x_m: Array
@@ -49,7 +49,7 @@ class PlaneTrack:
     heading: Array | None = None
     ahead_m: Array | None = None
     identity: Ints | None = None
-    length_m: float = DEFAULT_LENGTH_M
+    length_m: float | Array = DEFAULT_LENGTH_M
 
     @property
     def vehicles(self) -> int:
@@ -66,7 +66,8 @@ class PlaneTrack:
                 raise InputError(f"{name}: has shape {given.shape}; give one value, or one row, for each sample")
         identity = np.tile(np.arange(vehicles), (t, 1)) if self.identity is None else self.identity
         own: Array = np.column_stack([self.x_m, self.y_m, heading])
-        return PlaneSamples(own, ahead.copy(), identity.astype(np.int64), np.full((t, vehicles), float(self.length_m)))
+        length: Array = np.tile(np.broadcast_to(self.length_m, vehicles).astype(np.float64), (t, 1))
+        return PlaneSamples(own, ahead.copy(), identity.astype(np.int64), length)
 
 
 def plane_track(

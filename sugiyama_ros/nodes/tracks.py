@@ -18,6 +18,7 @@ from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.node import OK, WARN, Health, PacedNode, message_type
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM, offered
+from sugiyama_ros.nodes.plane import PlaneTopics
 from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M
 
 _POLL_S = 0.2
@@ -27,7 +28,7 @@ class TracksNode(PacedNode):
     """Puts vehicles that were seen in the plane on the lanes of a road, says who follows whom, and sends it all.
 
     Parameters of the node: ``centre_line`` (CSV file), ``topics`` (patterns of names), ``bridge`` (YAML file for a type
-    of message that is not known), ``frame`` of the centre line, ``period`` and ``length``.
+    of message that is not known), ``frame`` of the centre line, ``period``, ``length`` and ``ahead``.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -47,6 +48,9 @@ class TracksNode(PacedNode):
         own = [read_bridge(bridge)] if bridge is not None else []
         self._bridges = BRIDGES | {one.type: one for one in own}
         self._perception = Perception(read_lanes(Path(line)), PerceptionSettings(period_s, frame, length_m))
+        ahead = "how far ahead [s] the way of each vehicle is predicted and published, with its heading; 0: not at all"
+        ahead_s = self.option("ahead", 0.0, ahead, (0.0, 10.0))
+        self._plane = PlaneTopics(self, self._perception.lanes, period_s, ahead_s) if ahead_s > 0.0 else None
         self._known: set[str] = set()
         self._sources = 0
         self._to_road = self.create_publisher(RoadMessage, "road", LATCHED)
@@ -113,6 +117,8 @@ class TracksNode(PacedNode):
     def _send(self, sample: RoadSample) -> None:
         message = cdr_messages.measured_positions(sample.stamp_ns, sample.step, sample.positions)
         self.send(self._to_measured, message)
+        if self._plane is not None:
+            self._plane.publish(sample)
         self.taken(sample.step + 1)
 
     def _send_road(self, period_s: float) -> None:
