@@ -4,6 +4,7 @@ The Python interface in one line each, with ``import sugiyama_ros as sg``:
 
 - ``sg.read(source)``: tracks from files or a data frame;
 - ``sg.simulate()``: drivers on a ring or an open road, with hidden effects if wanted;
+- ``sg.simulate_lane_changes()``, ``sg.lane_changes(tracks)``: drivers who change lanes, and how they choose;
 - ``sg.calibrate(tracks)``: every driver's parameters, and how well the data hold them;
 - ``sg.compare(tracks)``: held-out errors beside other car-following laws;
 - ``sg.diagnose(tracks)``: which physical effect the model lacks;
@@ -26,11 +27,13 @@ if TYPE_CHECKING:
         compare,
         diagnose,
         filter_plane,
+        lane_changes,
         read,
         read_recording,
         read_road,
         report,
         simulate,
+        simulate_lane_changes,
     )
 
     __version__: str
@@ -43,12 +46,14 @@ __all__ = [
     "diagnose",
     "effects",
     "filter_plane",
+    "lane_changes",
     "laws",
     "read",
     "read_recording",
     "read_road",
     "report",
     "simulate",
+    "simulate_lane_changes",
 ]
 
 

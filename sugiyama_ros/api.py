@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.calibration.calibrate import calibrate_drivers
+from sugiyama_ros.calibration.lane_changes import lane_changes as lane_changes
 from sugiyama_ros.calibration.result import Calibration, Settings, number_of_classes
 from sugiyama_ros.controllers.registry import controlled_by
 from sugiyama_ros.diagnosis import compare as comparison
@@ -41,6 +42,7 @@ from sugiyama_ros.page.recording import Recording
 from sugiyama_ros.progress import stages
 from sugiyama_ros.results import plain
 from sugiyama_ros.simulation.experiment import Experiment, carry_out, changed
+from sugiyama_ros.simulation.multilane import simulate_lane_changes as simulate_lane_changes
 from sugiyama_ros.simulation.result import Simulation
 from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M
 from sugiyama_ros.trajectories.centre_line import CentreLine

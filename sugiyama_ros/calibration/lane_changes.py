@@ -1,0 +1,66 @@
+"""What `sugiyama_ros.lane_changes` does: the drivers of a calibration, and their decisions about lanes."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.calibration.result import Calibration
+from sugiyama_ros.driver.lane_change import LaneSpan
+from sugiyama_ros.driver.parameters import COUNT
+from sugiyama_ros.fit.lane_change import LaneChoices, fit_lane_changes
+from sugiyama_ros.simulation.multilane import MultilaneRun
+from sugiyama_ros.trajectories.tracks import Tracks
+
+
+def lane_changes(
+    tracks: Tracks | MultilaneRun,
+    calibration: Calibration | None = None,
+    spans: Mapping[int, tuple[float, float]] | None = None,
+) -> LaneChoices:
+    """Estimate how drivers choose among lanes, and compare with MOBIL on drivers of whom the fit knows nothing.
+
+    Parameters
+    ----------
+    tracks : Tracks or MultilaneRun
+        Vehicles on lanes of open roads. Lanes have whole numbers, which grow to the left. A simulated run is judged by
+        its true drivers.
+    calibration : Calibration, optional
+        Parameters of the drivers, as of `calibrate`; drivers who are not in it count as the median driver. Without it,
+        all have the paper's parameters.
+    spans : mapping of int to (float, float), optional
+        Where each lane opens to others, and where it ends [m]; by default all lanes of the tracks, without ends.
+
+    Returns
+    -------
+    LaneChoices
+        Rationality, politeness and cost of a change, with standard errors, and held-out log-losses.
+
+    Raises
+    ------
+    InputError
+        For tracks without numbered lanes, on a ring, or with too few changes of lane.
+
+    Examples
+    --------
+    >>> import sugiyama_ros as sg
+    >>> found = sg.lane_changes(sg.simulate_lane_changes(seed=1))
+    >>> [record["parameter"] for record in found.records()]
+    ['lane_rationality', 'politeness', 'change_cost']
+    """
+    known = None if spans is None else {int(lane): LaneSpan(*span) for lane, span in spans.items()}
+    if isinstance(tracks, MultilaneRun):
+        known = known or dict(tracks.spans)
+        return fit_lane_changes(tracks.tracks, tracks.start.parameters, known)
+    return fit_lane_changes(tracks, None if calibration is None else _drivers_in(tracks, calibration), known)
+
+
+def _drivers_in(tracks: Tracks, calibration: Calibration) -> Array:
+    """Return the parameters (V, P) of the drivers of all runs, out of a calibration."""
+    of_vehicle = {
+        (d.recording, str(d.vehicle)): row[:COUNT] for d, row in zip(calibration.drivers, calibration.rows, strict=True)
+    }
+    median = np.median(calibration.rows[:, :COUNT], axis=0)
+    first = tracks.start[:-1].tolist()
+    names = [(tracks.recording.at(row), tracks.vehicle.at(row)) for row in first]
+    return np.array([of_vehicle.get(name, of_vehicle.get(("", name[1]), median)) for name in names])
