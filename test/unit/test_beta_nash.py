@@ -1,5 +1,6 @@
 """Best responses of drivers who merge: equilibria, cycles, the degenerate case, the study, and the effect."""
 
+import doctest
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -10,6 +11,7 @@ from sugiyama_ros.driver.utility import ACTIONS, collision_penalty, gap_scale, m
 from sugiyama_ros.effects.effect import Seen
 from sugiyama_ros.effects.registry import effect
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.simulation import best_response as module
 from sugiyama_ros.simulation.best_response import (
     TOLERANCE,
     Merge,
@@ -33,6 +35,12 @@ def merge(place, speed, lane):
 
 def responses(state, actions):
     return respond(state, actions, ACTIONS, REFERENCE_PERIOD_S, REFERENCE_HORIZON)
+
+
+def test_the_example_runs():
+    found = doctest.testmod(module)
+    assert found.attempted > 0
+    assert found.failed == 0
 
 
 def test_an_equilibrium_is_the_best_response_to_itself():

@@ -1,9 +1,13 @@
 """Changes of lane: what drivers see and choose, MOBIL, the simulator, the fit, and the manoeuvre filter."""
 
+import doctest
+
 import numpy as np
 import pytest
 
 import sugiyama_ros as sg
+from sugiyama_ros.calibration import lane_changes
+from sugiyama_ros.driver import lane_change
 from sugiyama_ros.driver.lane_change import (
     CHANGE_S,
     KEEP,
@@ -30,9 +34,11 @@ from sugiyama_ros.driver.utility import (
     utilities,
 )
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.filters import manoeuvres
 from sugiyama_ros.filters.manoeuvres import ManoeuvreFilter
 from sugiyama_ros.fit.lane_change import fit_choice
 from sugiyama_ros.laws.idm import idm
+from sugiyama_ros.simulation import multilane
 from sugiyama_ros.simulation.mobil import mobil_features
 from sugiyama_ros.simulation.multilane import END_OF_LANE, LANE_WIDTH_M, OnRoad, place_at_random, simulate_multilane
 from sugiyama_ros.trajectories.assemble import assemble
@@ -41,6 +47,13 @@ LENGTH_M = 4.33
 INF = np.inf
 CHOICE = np.array([100.0, 0.5, 0.07])
 TRUTH = np.array([100.0, 0.5, 0.07])
+
+
+@pytest.mark.parametrize("module", [lane_change, multilane, lane_changes, manoeuvres])
+def test_the_examples_run(module):
+    found = doctest.testmod(module)
+    assert found.attempted > 0
+    assert found.failed == 0
 
 
 def seen(gap=(INF, INF, INF), leader_speed=(0.0, 0.0, 0.0), rear=(INF, INF, INF), rear_speed=(0.0, 0.0, 0.0), **more):
@@ -222,6 +235,8 @@ def test_what_cannot_be_fitted_is_refused_in_one_line():
         sg.lane_changes(sg.simulate(vehicles=3, ring_m=40.0, duration_s=10.0).measured)
     with pytest.raises(InputError, match="there is no lane 2; lanes have the numbers 0 to 1"):
         sg.simulate_lane_changes(4, 2, 5.0, spans={2: (0.0, 100.0)})
+    with pytest.raises(InputError, match="vehicles: 0 is not possible; give 1 or more"):
+        sg.simulate_lane_changes(0)
     with pytest.raises(InputError, match="parameter 'polite': not known"):
         sg.simulate_lane_changes(4, 2, 5.0, parameters={"polite": 1.0})
     with pytest.raises(InputError, match="politeness: out of bounds; give -10 to 10"):
