@@ -41,6 +41,7 @@ from sugiyama_ros.page.document import document as document_of
 from sugiyama_ros.page.recording import Recording
 from sugiyama_ros.progress import stages
 from sugiyama_ros.results import plain
+from sugiyama_ros.roads.network import Network
 from sugiyama_ros.simulation.experiment import Experiment, carry_out, changed
 from sugiyama_ros.simulation.multilane import simulate_lane_changes as simulate_lane_changes
 from sugiyama_ros.simulation.result import Simulation
@@ -67,6 +68,7 @@ def read(
     *,
     columns: str | Path | Mapping[str, Any] | None = None,
     reference: str | None = None,
+    road: str | Path | Network | None = None,
 ) -> Tracks:
     """Read vehicles on one or many lanes from files, a folder or a data frame.
 
@@ -86,6 +88,9 @@ def read(
         ``{"s_m": {"column": "Local_Y", "factor": 0.3048}, "lane": "Lane_ID"}``.
     reference : {"centre", "front", "rear"}, optional
         Which point of a vehicle the positions are of; by default as the format says.
+    road : str, Path or Network, optional
+        The road, or a file that `read_road` reads, for a file of vehicles in the plane: INTERACTION, inD, rounD, exiD,
+        or floating car data of SUMO.
 
     Returns
     -------
@@ -105,17 +110,29 @@ def read(
     >>> sg.read("three.csv", ring_m=40.0)
     <Tracks: 3 vehicles in 1 recording, 93 rows, leaders known in 100 %, from three.csv>
     """
+    choices = _choices(columns, reference, road)
+    if ring_m is not None:
+        choices = replace(choices, ring_m=ring_m)
+    if isinstance(source, str | Path | list | tuple):
+        return read_tracks(source, choices, name)  # type: ignore[arg-type]
+    if road is not None:
+        raise InputError("road: a data frame has positions along a road of its own; leave it out")
+    return tracks_of_frame(source, choices)
+
+
+def _choices(
+    columns: str | Path | Mapping[str, Any] | None, reference: str | None, road: str | Path | Network | None
+) -> Choices:
+    """What arguments of `read` say about a file."""
     choices = Choices()
     if columns is not None:
         is_file = isinstance(columns, str | Path)
         choices = read_choices(Path(columns)) if is_file else choices_of(columns, "columns")  # type: ignore[arg-type]
     if reference is not None:
         choices = replace(choices, reference=reference_of(reference, "reference"))
-    if ring_m is not None:
-        choices = replace(choices, ring_m=ring_m)
-    if isinstance(source, str | Path | list | tuple):
-        return read_tracks(source, choices, name)  # type: ignore[arg-type]
-    return tracks_of_frame(source, choices)
+    if road is not None:
+        choices = replace(choices, network=road if isinstance(road, Network) else read_road(road))
+    return choices
 
 
 def simulate(

@@ -41,6 +41,10 @@ class _ConvertOptions:
         str | None,
         typer.Option("--reference", help="What positions are of, if not as the format says: centre, front or rear."),
     ] = None
+    road_file: Annotated[
+        Path | None,
+        typer.Option("--road-file", help="Of vehicles in the plane: the road (Lanelet2, CommonRoad or CSV)."),
+    ] = None
     recording: Annotated[str, typer.Option("--recording", help="Recordings to keep, separated by commas.")] = ""
     road: Annotated[str, typer.Option("--road", help="Roads to keep.")] = ""
     lane: Annotated[str, typer.Option("--lane", help="Lanes to keep.")] = ""
@@ -117,6 +121,7 @@ def _part(options: _ConvertOptions) -> "Part":
     """Which part of the source the options ask for."""
     from sugiyama_ros.formats.choices import Choices, read_choices, reference_of
     from sugiyama_ros.formats.convert import Part
+    from sugiyama_ros.formats.roads import read_road
     from sugiyama_ros.trajectories.selection import Selection
 
     choices = Choices() if options.columns is None else read_choices(options.columns)
@@ -124,6 +129,8 @@ def _part(options: _ConvertOptions) -> "Part":
         choices = dataclasses.replace(choices, reference=reference)
     if options.ring is not None:
         choices = dataclasses.replace(choices, ring_m=options.ring)
+    if options.road_file is not None:
+        choices = dataclasses.replace(choices, network=read_road(options.road_file))
     selection = Selection(
         recording=names(options.recording),
         road=names(options.road),

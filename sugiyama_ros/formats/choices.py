@@ -9,6 +9,7 @@ from typing import Any
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.files import number, read_yaml
 from sugiyama_ros.road import Road
+from sugiyama_ros.roads.network import Network
 from sugiyama_ros.trajectories.about import Reference, View
 from sugiyama_ros.trajectories.tracks import FLAGS, NUMBERS, TEXTS
 
@@ -38,6 +39,8 @@ class Choices:
         Circumference [m] of the ring.
     view : {"end", "whole"}, optional
         Whether vehicles may be ahead of the first one.
+    network : Network, optional
+        The road, for files of vehicles in the plane.
 
     Raises
     ------
@@ -49,6 +52,7 @@ class Choices:
     reference: Reference | None = None
     ring_m: float | None = None
     view: View | None = None
+    network: Network | None = None
 
     def __post_init__(self) -> None:
         Road(self.ring_m or 0.0)

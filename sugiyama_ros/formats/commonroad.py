@@ -64,7 +64,7 @@ class _Graph:
 
     def __init__(self, network: Network) -> None:
         self.names = [one.name for one in network.lanes]
-        self.length = np.array([one.length_m for one in network.lanes])
+        self.length = np.array([np.cumsum(np.hypot(np.diff(one.x_m), np.diff(one.y_m)))[-1] for one in network.lanes])
         self.after, self.ways = network.after, Ways(network)
         # roads and lanes begin where no lanelet leads in; what is left then are rings
         self._first = [*(k for k, before in enumerate(network.before) if not before), *range(len(self.names))]

@@ -28,6 +28,8 @@ class Format:
         Gets the path and the user's `Choices`. Returns `Tracks`. Raises InputError for a file that cannot be read.
     summary : str
         One line that explains the format.
+    takes_road : bool
+        Whether the format has vehicles in the plane, which a road of `Choices` puts on lanes.
     """
 
     name: str
@@ -35,6 +37,7 @@ class Format:
     recognise: Callable[[bytes, Path], bool]
     read: Callable[[Path, Choices], Tracks]
     summary: str
+    takes_road: bool = False
 
 
 def has_suffix(*suffixes: str) -> Callable[[bytes, Path], bool]:

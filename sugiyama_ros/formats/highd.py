@@ -1,4 +1,4 @@
-"""highD, and the files of exiD and inD, which name their columns in another way."""
+"""highD, and the files of exiD, inD and rounD, which name their columns in another way."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -19,8 +19,11 @@ from sugiyama_ros.formats.columns import (
     text_of,
     without_nobody,
 )
+from sugiyama_ros.formats.on_road import moved, on_road, without_pedestrians
 from sugiyama_ros.formats.reading import shown_stem
 from sugiyama_ros.formats.sheet import Sheet, head_of, sheet_of, text_sheet
+from sugiyama_ros.roads.network import Network
+from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.labels import Labels, labels, same_label
 from sugiyama_ros.trajectories.tracks import Tracks
 
@@ -52,26 +55,45 @@ _EXID = {
     "x_speed": take("xVelocity"),
     "y_speed": take("yVelocity"),
 }
+# inD and rounD have no leaders; on a road, leaders are found.
+_ON_ROAD = {name: one for name, one in _EXID.items() if name != "leader"}
 
 
 def _read(sheet: Sheet, choices: Choices) -> Tracks:
     """Read ``XX_tracks.csv``; ``XX_tracksMeta.csv`` and ``XX_recordingMeta.csv`` beside it are read where they are."""
-    path, is_highd = sheet.path, sheet.has("laneId")
-    if not is_highd and sheet.find("leadId") is None:
+    path, is_highd, network = sheet.path, sheet.has("laneId"), choices.network
+    if is_highd and network is not None:
+        raise InputError(f"{path}: highD names its lanes; leave out the road")
+    if not is_highd and network is None and sheet.find("leadId") is None:
         raise InputError(
-            f"{path}:1: no column leadId: crossings (inD, rounD) have neither lanes nor leaders; give lanes in a table"
-            " of your own with --format table --columns map.yaml"
+            f"{path}:1: no column leadId: crossings (inD, rounD) have neither lanes nor leaders; give the road:"
+            " --road-file MAP.osm"
         )
-    columns = read_columns(sheet, _HIGHD if is_highd else _EXID)
-    about = about_file(path, leaders="found" if is_highd else "given", licence=_LICENCE)
+    columns = read_columns(sheet, _HIGHD if is_highd else _EXID if network is None else _ON_ROAD)
+    about = about_file(path, leaders="found" if is_highd or network is not None else "given", licence=_LICENCE)
     about = replace(about, smoothing="positions as published (smoothed)")
     columns["time_s"] = np.asarray(columns.pop("frame_s")) / _rate(path)
+    if network is not None:
+        return _on_road(columns, path, about, choices, network)
     without_nobody(columns, "0", "-1")
     columns = _of_highd(columns) if is_highd else _of_exid(columns)
+    return put_together(_named(columns, path), about, choices)
+
+
+def _named(columns: Rows, path: Path) -> Rows:
+    """Columns with the recording, and with classes where the metadata say them."""
     columns.setdefault("recording", same_label(len(np.asarray(columns["time_s"])), shown_stem(path).partition("_")[0]))
     if (kind := _classes(path, text_of(columns, "vehicle"))) is not None:
         columns["class"] = kind
-    return put_together(columns, about, choices)
+    return columns
+
+
+def _on_road(columns: Rows, path: Path, about: About, choices: Choices, network: Network) -> Tracks:
+    """Tracks of vehicles in the plane, on the lanes of a road."""
+    columns["heading_m"] = np.radians(np.asarray(columns["heading_m"]))
+    columns, about = without_pedestrians(_named(columns, path), about)
+    columns = moved(columns, _meta(path, "xUtmOrigin", 0.0), _meta(path, "yUtmOrigin", 0.0), network)
+    return put_together(*on_road(columns, network, about), choices)
 
 
 def _of_highd(columns: Rows) -> Rows:
@@ -102,16 +124,26 @@ def _of_exid(columns: Rows) -> Rows:
 
 def _rate(path: Path) -> float:
     """Frames in a second, from the recording's metadata where there is such a file."""
-    beside = path.with_name(path.name.replace("_tracks", "_recordingMeta"))
-    if beside == path or not beside.is_file():
-        return _RATE_HZ
-    sheet = sheet_of(beside, head_of(beside))
-    if sheet is None or sheet.find("frameRate") is None:
-        return _RATE_HZ
-    rate = float(np.asarray(read_columns(sheet, {"rate_s": need("frameRate")})["rate_s"])[0])
+    rate = _meta(path, "frameRate", _RATE_HZ)
     if not 1.0 <= rate <= 1000.0:
-        raise InputError(f"{beside}: frameRate {rate:g} is no rate; correct the file")
+        raise InputError(f"{_beside(path)}: frameRate {rate:g} is no rate; correct the file")
     return rate
+
+
+def _beside(path: Path) -> Path:
+    """The recording's metadata."""
+    return path.with_name(path.name.replace("_tracks", "_recordingMeta"))
+
+
+def _meta(path: Path, name: str, otherwise: float) -> float:
+    """A number of the recording's metadata; another one where there is no such file, or no such column."""
+    beside = _beside(path)
+    if beside == path or not beside.is_file():
+        return otherwise
+    sheet = sheet_of(beside, head_of(beside))
+    if sheet is None or sheet.find(name) is None:
+        return otherwise
+    return float(np.asarray(read_columns(sheet, {"value_m": need(name)})["value_m"])[0])
 
 
 def _classes(path: Path, vehicle: Labels) -> Labels | None:
@@ -135,11 +167,14 @@ def _sheet(path: Path, head: bytes) -> Sheet | None:
     return sheet if sheet is not None and any(sheet.has(*names) for names in marks) else None
 
 
-FORMAT = sheet_format(
-    name="highd",
-    suffixes=(".csv",),
-    summary="highD and exiD (tracks.csv with its metadata beside it): both directions, lanes, leaders",
-    sheet_of=_sheet,
-    read=_read,
-    refusal="1: not the columns of highD, exiD or inD; check the file",
+FORMAT = replace(
+    sheet_format(
+        name="highd",
+        suffixes=(".csv",),
+        summary="highD and exiD (tracks.csv with its metadata beside it); with a road also inD and rounD",
+        sheet_of=_sheet,
+        read=_read,
+        refusal="1: not the columns of highD, exiD or inD; check the file",
+    ),
+    takes_road=True,
 )

@@ -27,6 +27,7 @@ _BUILT_IN = (
     "platoon",
     "openacc",
     "highd",
+    "interaction",
     "sumo",
     "tgsim",
     "pneuma",
@@ -62,8 +63,13 @@ def read_tracks(source: Path | Sequence[Path], choices: Choices | None = None, n
         return read_files(paths, choices)
     known = {one.name: one for one in formats()}
     if name != "auto":
-        return plugins.find(known, GROUP, name, "format").read(paths[0], choices)
-    return (known["table"] if choices.columns else format_of(paths[0])).read(paths[0], choices)
+        chosen = plugins.find(known, GROUP, name, "format")
+    else:
+        chosen = known["table"] if choices.columns else format_of(paths[0])
+    if choices.network is not None and not chosen.takes_road:
+        able = ", ".join(one.name for one in formats() if one.takes_road)
+        raise InputError(f"{paths[0]}: a file of the format {chosen.name}, which takes no road; those do: {able}")
+    return chosen.read(paths[0], choices)
 
 
 def format_of(path: Path) -> Format:

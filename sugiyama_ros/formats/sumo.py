@@ -12,8 +12,10 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.columns import Rows, about_file, need, put_together, read_columns, stacked, take, text_of
 from sugiyama_ros.formats.format import Format
+from sugiyama_ros.formats.on_road import on_road
 from sugiyama_ros.formats.reading import attribute, elements, has_root
 from sugiyama_ros.formats.sheet import MAX_ROWS, head_of, sheet_of
+from sugiyama_ros.roads.network import Network
 from sugiyama_ros.trajectories.labels import Labels, labels
 from sugiyama_ros.trajectories.tracks import Tracks
 
@@ -33,6 +35,8 @@ _WANTED = {
 }
 _TEXTS = {"vehicle": "id", "lane_name": "lane", "edge": "edge", "class": "type", "leader": "leaderID"}
 _NUMBERS = {"s_m": "pos", "speed": "speed"}
+# Where vehicles are in the plane: their front bumpers.
+_IN_PLANE = {"x_m": "x", "y_m": "y", "angle_m": "angle"}
 # Present only if the user asked SUMO for leaders.
 _GAP = "leaderGap"
 
@@ -44,14 +48,9 @@ def _read_sumo(path: Path, choices: Choices) -> Tracks:
 
     path: XML (``--fcd-output``), CSV or Parquet. Raises InputError.
     """
-    head = head_of(path)
-    if _is_xml(head, path):
-        columns = _of_xml(path)
-    else:
-        sheet = sheet_of(path, head)
-        if sheet is None:
-            raise InputError(f"{path}:1: not the columns of SUMO; check the file")
-        columns = read_columns(sheet, _WANTED)
+    if choices.network is not None:
+        return _on_road(path, choices, choices.network)
+    columns = _read(path, {})
     lane, edge = columns.pop("lane_name", None), columns.pop("edge", None)
     if not isinstance(lane, Labels) and not isinstance(edge, Labels):
         raise InputError(f"{path}: no vehicle has a lane or an edge; write the file with the attribute lane")
@@ -77,6 +76,29 @@ def _read_sumo(path: Path, choices: Choices) -> Tracks:
     note = f"{many} edges make {roads} road{'s' * (roads > 1)}" * (many > 1)
     about = replace(about.noting(note), ring_m=ring_m if roads == 1 else 0.0)
     return put_together(columns, about, choices, reference="front")
+
+
+def _read(path: Path, more: dict[str, str]) -> Rows:
+    """Columns of a file; ``more`` names further attributes of vehicles, which are numbers. Raises InputError."""
+    head = head_of(path)
+    if _is_xml(head, path):
+        return _of_xml(path, _NUMBERS | more)
+    sheet = sheet_of(path, head)
+    if sheet is None:
+        raise InputError(f"{path}:1: not the columns of SUMO; check the file")
+    return read_columns(sheet, _WANTED | {name: need(f"vehicle_{source}") for name, source in more.items()})
+
+
+def _on_road(path: Path, choices: Choices, network: Network) -> Tracks:
+    """Vehicles by their places in the plane, on the lanes of a road."""
+    columns, about = _read(path, _IN_PLANE), about_file(path)
+    # angles count in degrees from north, clockwise
+    columns["heading_m"] = np.radians(90.0 - np.asarray(columns.pop("angle_m")))
+    if "length_m" not in columns:
+        columns["length_m"], note = _lengths(columns, None)
+        about = about.noting(note)
+    columns = {name: columns[name] for name in columns if name not in ("lane_name", "edge", "leader", "gap_m")}
+    return put_together(*on_road(columns, network, about), choices, reference="front")
 
 
 def _edges(lane: Labels | Array | None, edge: Labels | Array | None, path: Path) -> tuple[Labels, Labels]:
@@ -131,9 +153,9 @@ def _lengths(columns: Mapping[str, Array | Labels], gap: Array | Labels | None) 
     return np.where(known, length, _LENGTH_M)[vehicle.code], note
 
 
-def _of_xml(path: Path) -> Rows:
+def _of_xml(path: Path, numbers: Mapping[str, str]) -> Rows:
     """Columns of an XML file, gathered vehicle by vehicle; columns of text that are empty are left out."""
-    number = {name: array("d") for name in ("time_s", *_NUMBERS, "gap_m")}
+    number = {name: array("d") for name in ("time_s", *numbers, "gap_m")}
     code = {name: array("i") for name in _TEXTS}
     texts: dict[str, dict[str, int]] = {name: {} for name in _TEXTS}
     for step in elements(path, "timestep"):
@@ -142,7 +164,7 @@ def _of_xml(path: Path) -> Rows:
             said = one.attrib
             where = f"{path}: vehicle {said.get('id', '')[:40]} at {time:g} s"
             number["time_s"].append(time)
-            for name, source in _NUMBERS.items():
+            for name, source in numbers.items():
                 number[name].append(attribute(said, source, where))
             number["gap_m"].append(attribute(said, _GAP, where) if _GAP in said else -1.0)
             for name, source in _TEXTS.items():
@@ -176,6 +198,7 @@ FORMAT = Format(
     recognise=_recognise,
     read=_read_sumo,
     summary="floating car data of SUMO as XML, CSV or Parquet: lanes on edges that follow one another",
+    takes_road=True,
 )
 
 

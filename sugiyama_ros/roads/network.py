@@ -77,7 +77,7 @@ class Lanelet:
     @cached_property
     def line(self) -> CentreLine:
         """The middle of the lane."""
-        return CentreLine(self.x_m, self.y_m)
+        return _line(np.stack((self.x_m, self.y_m), axis=1))
 
     @property
     def length_m(self) -> float:
@@ -87,6 +87,23 @@ class Lanelet:
     def curvature(self, s_m: Array) -> Array:
         """Curvature [1/m] at places (N,) [m] on the lane, positive to the left: the mean over 5 m around each."""
         return curvature_of(self.line, s_m)
+
+
+def _line(point: Array) -> CentreLine:
+    """A line through points (P, 2) [m] that turns only near its bends.
+
+    A centre line turns steadily between two points. So a piece that is much longer than the next one gets a point more,
+    which is as far from the bend as the next piece is long.
+    """
+    step = np.hypot(*np.diff(point, axis=0).T)
+    points = [point[0]]
+    for k, (begin, end) in enumerate(pairwise(point)):
+        before, after = (step[one] if 0 <= one < len(step) else np.inf for one in (k - 1, k + 1))
+        way = (end - begin) / step[k]
+        points += [begin + before * way] if 2.0 * before < step[k] else []
+        points += [end - after * way] if 2.0 * after < step[k] else []
+        points.append(end)
+    return CentreLine(*np.array(points).T)
 
 
 def curvature_of(line: CentreLine, s_m: Array) -> Array:
@@ -334,7 +351,7 @@ class Network(Result):
     >>> second = Lanelet("second", bend, 20.0 - 20.0 * np.cos(np.linspace(0.0, 1.5, 16)))
     >>> network = Network((first, second))
     >>> path = network.path([0, 1])
-    >>> path.length_m.round(1), path.curvature(np.array([20.0, 65.0])).round(3)
+    >>> round(path.length_m, 1), path.curvature(np.array([20.0, 65.0])).round(3)
     (80.0, array([0.  , 0.05]))
     """
 
@@ -493,4 +510,4 @@ def _joined(lanes: Sequence[Lanelet]) -> tuple[CentreLine, Array]:
         way = points[-1] - points[-2]
         points[-1] -= way * min(0.5, 2.0 * _SAME_M / np.hypot(*way))
     way_m = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
-    return CentreLine(*points.T), way_m[first]
+    return _line(points), way_m[first]

@@ -111,6 +111,18 @@ def centre_line(path: Path, length_m: float = 700.0) -> Path:
     return path
 
 
+def in_plane(path: Path, road: Path) -> tuple[Path, Path]:
+    """Two cars in the plane, one behind the other, in the form of INTERACTION; and their road, of one lane called 1."""
+    road.write_text("lane,x_m,y_m\n1,0,0\n1,300,400\n")
+    lines = ["case_id,track_id,timestamp_ms,agent_type,x,y,psi_rad,length,width"]
+    for vehicle, start_m in ((1, 60.0), (2, 30.0)):
+        for k in range(200):
+            s = start_m + 1.0 * k
+            lines.append(f"1,{vehicle},{100 * k},car,{0.6 * s:.3f},{0.8 * s:.3f},{np.arctan2(4.0, 3.0):.4f},4.5,1.8")
+    path.write_text("\n".join(lines) + "\n")
+    return path, road
+
+
 def odometry_bag(folder: Path, duration_s: float = 40.0, storage: str = "mcap") -> Path:
     """A folder as rosbag2 records it: nav_msgs/Odometry of three cars on a straight road, at 10 Hz."""
     measured = drivers(3, 0.0, duration_s, period_s=0.1)

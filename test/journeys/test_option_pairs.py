@@ -80,12 +80,13 @@ VALUES: Mapping[str, Sequence[str]] = {
     "--diagnosis": ("diagnosis.json",),
     "live --host": ("127.0.0.1", "localhost"),
     "live --port": ("PORT",),
-    "convert SOURCE": ("rich.csv", "ring.csv", "ring.mcap", "own.csv", "bag"),
+    "convert SOURCE": ("rich.csv", "ring.csv", "ring.mcap", "own.csv", "plane.csv", "bag"),
     "convert OUTPUT": ("new.parquet", "new.csv", "new.mcap", "old.mcap"),
     "convert --format": ("auto", "tracks"),
     "convert --columns": ("map.yaml",),
     "convert --reference": ("centre", "front"),
     "convert --recording": ("1",),
+    "convert --road-file": ("road.csv",),
     "convert --road": ("1",),
     "convert --lane": ("1",),
     "convert --class": ("car",),
@@ -177,12 +178,14 @@ CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
         ("bag", "no --odometry"),
         *((source, "--odometry") for source in VALUES["convert SOURCE"] if source != "bag"),
         *((output, "--odometry") for output in ("new.mcap", "old.mcap")),
-        *((source, output) for source in ("rich.csv", "own.csv") for output in ("new.mcap", "old.mcap")),
+        *((source, output) for source in ("rich.csv", "own.csv", "plane.csv") for output in ("new.mcap", "old.mcap")),
         *(("ring.csv", "no --ring", output) for output in ("new.mcap", "old.mcap")),
         *((s, output, "--without") for s in ("ring.csv", "ring.mcap") for output in ("new.mcap", "old.mcap")),
         ("own.csv", "--ring"),
         ("own.csv", "no --columns"),
-        *((source, "--columns") for source in ("rich.csv", "ring.csv", "ring.mcap")),
+        *((source, "--columns") for source in ("rich.csv", "ring.csv", "ring.mcap", "plane.csv")),
+        ("plane.csv", "no --road-file"),
+        *((source, "--road-file") for source in ("rich.csv", "ring.csv", "ring.mcap", "own.csv")),
         *((source, "--format tracks") for source in VALUES["convert SOURCE"] if source != "bag"),
         *((s, "no --odometry", name) for s in ("ring.csv", "ring.mcap", "own.csv") for name in ("--road", "--class")),
         *((source, "no --odometry", "--lane") for source in ("ring.csv", "ring.mcap")),
@@ -246,6 +249,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory, forks: Forks, scheduler: st
     recordings.all_columns(folder / "rich.csv")
     recordings.odometry_bag(folder / "bag", duration_s=20.0)
     recordings.centre_line(folder / "line.csv")
+    recordings.in_plane(folder / "plane.csv", folder / "road.csv")
     (folder / "map.yaml").write_text(MAP)
     (folder / "bridge.yaml").write_text(BRIDGE)
     small = ["--vehicles", "3", "--duration", "40"]

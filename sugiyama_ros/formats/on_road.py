@@ -1,0 +1,49 @@
+"""Vehicles in the plane become vehicles on the lanes of a road."""
+
+import numpy as np
+
+from sugiyama_ros.formats.columns import Rows, text_of
+from sugiyama_ros.roads.network import Network
+from sugiyama_ros.roads.routes import routes_of
+from sugiyama_ros.trajectories.about import About
+from sugiyama_ros.trajectories.labels import Labels, joined, labels
+
+
+def on_road(columns: Rows, network: Network, about: About) -> tuple[Rows, About]:
+    """Put vehicles on the lanes of a road: columns of tracks, and where they come from.
+
+    columns: (R,), among them ``x_m``, ``y_m`` [m] and perhaps ``heading_m`` [rad], ``x_speed`` and ``y_speed`` [m/s];
+    the road of a row is its route, and its lane is the lane.
+    """
+    vehicle = text_of(columns, "vehicle")
+    recording = columns.get("recording")
+    each = joined(recording, vehicle, "/") if isinstance(recording, Labels) else vehicle
+    unknown = np.full(len(vehicle), np.nan)
+    x, y, heading = (np.asarray(columns.pop(name, unknown)) for name in ("x_m", "y_m", "heading_m"))
+    if "x_speed" in columns and "y_speed" in columns:
+        columns["speed"] = np.hypot(np.asarray(columns.pop("x_speed")), np.asarray(columns.pop("y_speed")))
+    found = routes_of(network, each.code.astype(np.int64), np.asarray(columns["time_s"]), x, y, heading)
+    names = [lane.name for lane in network.lanes]
+    ways = [" ".join(names[k] for k in path.lanes) for path in found.paths]
+    columns |= {"road": labels(found.route.astype(np.int32), ways), "lane": labels(found.lane.astype(np.int32), names)}
+    return columns | {"s_m": found.s_m, "d_m": found.d_m}, about.noting(*found.notes)
+
+
+def without_pedestrians(columns: Rows, about: About) -> tuple[Rows, About]:
+    """Rows of vehicles alone."""
+    kind = columns.get("class")
+    if not isinstance(kind, Labels):
+        return columns, about
+    walks = np.array([text.lower() == "pedestrian" for text in kind.text] + [False])[kind.code]
+    return {name: column[~walks] for name, column in columns.items()}, about.without("a pedestrian", int(walks.sum()))
+
+
+def moved(columns: Rows, east_m: float, north_m: float, network: Network) -> Rows:
+    """Places that count from an origin, as places of the road, if it lies nearer to them then."""
+    place = np.stack((np.asarray(columns["x_m"]), np.asarray(columns["y_m"])))
+    road = np.mean([[lane.x_m.mean(), lane.y_m.mean()] for lane in network.lanes], axis=0)
+    away = road - np.nanmedian(place, axis=1)
+    origin = np.array([east_m, north_m])
+    if np.hypot(*(away - origin)) < np.hypot(*away):
+        columns = columns | {"x_m": place[0] + east_m, "y_m": place[1] + north_m}
+    return columns

@@ -1,0 +1,117 @@
+"""Vehicles in the plane: INTERACTION, inD and floating car data of SUMO, put on the lanes of a road."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sugiyama_ros as sg
+from sugiyama_ros import cli
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.registry import format_of
+from sugiyama_ros.formats.road_csv import write_road
+from sugiyama_ros.roads.examples import roundabout
+from sugiyama_ros.roads.network import Network
+from sugiyama_ros.roads.network import Path as Route
+
+#: Routes of three vehicles, and the step at which each begins; the second follows the first.
+WAYS = ((["in1", "ring1_2", "out2"], 0), (["in1", "ring1_2", "out2"], 40), (["in3", "ring3_4", "out4"], 0))
+SPEED = 8.0
+
+
+@pytest.fixture
+def network() -> Network:
+    return roundabout()
+
+
+def drives(network: Network, step_s: float) -> list[tuple[int, int, float, float, float]]:
+    """Vehicle, number of the step, place x, y [m], and heading [rad] of each row."""
+    rows = []
+    for vehicle, (way, first) in enumerate(WAYS):
+        path: Route = network.path(way)
+        s = np.arange(5.0, path.length_m, SPEED * step_s)
+        x, y, heading = path.at(s)
+        rows += [(vehicle, first + k, *row) for k, row in enumerate(zip(x, y, heading, strict=True))]
+    return rows
+
+
+def interaction(folder: Path, network: Network) -> Path:
+    path = folder / "vehicle_tracks_000.csv"
+    lines = ["case_id,track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width"]
+    for v, k, x, y, heading in drives(network, 0.1):
+        speed = f"{SPEED * np.cos(heading):.4f},{SPEED * np.sin(heading):.4f}"
+        lines.append(f"1,{v},{k},{100 * k},car,{x:.3f},{y:.3f},{speed},{heading:.4f},4.5,1.8")
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def ind(folder: Path, network: Network) -> Path:
+    path = folder / "07_tracks.csv"
+    lines = ["recordingId,trackId,frame,trackLifetime,xCenter,yCenter,heading,width,length,xVelocity,yVelocity"]
+    for v, k, x, y, heading in drives(network, 0.04):
+        speed = f"{SPEED * np.cos(heading):.4f},{SPEED * np.sin(heading):.4f}"
+        degrees = np.degrees(heading) % 360.0
+        # places count from an origin of the recording
+        lines.append(f"7,{v},{k},0,{x + 100.0:.3f},{y - 50.0:.3f},{degrees:.3f},1.8,4.5,{speed}")
+    walker = [f"7,9,{k},0,{100.0 + 0.05 * k},-50,0,0,0,1,0" for k in range(50)]
+    path.write_text("\n".join(lines + walker) + "\n")
+    (folder / "07_tracksMeta.csv").write_text("trackId,class\n0,car\n1,car\n2,truck_bus\n9,pedestrian\n")
+    (folder / "07_recordingMeta.csv").write_text("recordingId,frameRate,xUtmOrigin,yUtmOrigin\n7,25,-100,50\n")
+    return path
+
+
+def sumo(folder: Path, network: Network) -> Path:
+    path = folder / "fcd.xml"
+    steps: dict[int, list[str]] = {}
+    for v, k, x, y, heading in drives(network, 0.1):
+        place = f'x="{x:.3f}" y="{y:.3f}" angle="{(90.0 - np.degrees(heading)) % 360.0:.3f}"'
+        steps.setdefault(k, []).append(f'<vehicle id="{v}" {place} speed="{SPEED}" pos="0" lane="e_0" type="car"/>')
+    text = "".join(f'<timestep time="{0.1 * k:.1f}">{"".join(rows)}</timestep>' for k, rows in sorted(steps.items()))
+    path.write_text(f"<fcd-export>{text}</fcd-export>")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("write", "name", "front_m"), [(interaction, "interaction", 0.0), (ind, "highd", 0.0), (sumo, "sumo", 2.5)]
+)
+def test_vehicles_in_the_plane_are_put_on_a_road(
+    tmp_path: Path, network: Network, write: Callable[[Path, Network], Path], name: str, front_m: float
+) -> None:
+    path = write(tmp_path, network)
+    assert format_of(path).name == name
+    tracks = sg.read(path, road=network)
+    assert tracks.vehicle.used() == ("0", "1", "2")
+    for vehicle, (way, _) in enumerate(WAYS):
+        rows = tracks.vehicle.code == vehicle
+        assert set(tracks.lane.values()[rows].tolist()) == set(way)
+        s = tracks.s_m[rows]
+        np.testing.assert_allclose(s - s[0], SPEED * (tracks.time_s[rows] - tracks.time_s[rows][0]), atol=0.01)
+        assert s[0] + front_m == pytest.approx(5.0, abs=0.01)
+        np.testing.assert_allclose(tracks.d_m[rows], 0.0, atol=0.01)
+
+
+def test_a_file_in_the_plane_needs_a_road_and_others_take_none(tmp_path: Path, network: Network) -> None:
+    path = interaction(tmp_path, network)
+    with pytest.raises(InputError, match=r"without lanes; give the road: --road-file MAP.osm"):
+        sg.read(path)
+    with pytest.raises(InputError, match=r"no column leadId: .*; give the road: --road-file MAP.osm"):
+        sg.read(ind(tmp_path, network))
+    table = tmp_path / "table.csv"
+    table.write_text("vehicle,time_s,s_m\na,0,0\na,1,1\n")
+    with pytest.raises(InputError, match=r"format table, which takes no road; those do: highd, interaction, sumo"):
+        sg.read(table, road=network)
+    with pytest.raises(InputError, match=r"road: a data frame has positions along a road of its own"):
+        sg.read(sg.read(table).to_frame(), road=network)
+
+
+def test_the_command_takes_a_road(tmp_path: Path, network: Network, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_road(network, tmp_path / "road.csv")
+    path, output = interaction(tmp_path, network), tmp_path / "tracks.parquet"
+    command = ["sugiyama", "convert", str(path), str(output), "--road-file", str(tmp_path / "road.csv")]
+    monkeypatch.setattr(sys, "argv", command)
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    assert not end.value.code
+    assert set(sg.read(output).lane.used()) == {"in1", "ring1_2", "out2", "in3", "ring3_4", "out4"}
