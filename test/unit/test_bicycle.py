@@ -11,62 +11,30 @@ from vehiclemodels.parameters_vehicle2 import parameters_vehicle2
 from vehiclemodels.vehicle_dynamics_ks import vehicle_dynamics_ks
 
 import sugiyama_ros as sg
+from benchmarks.bicycle import LENGTH_M, LINES, PERIODS_S, SEEDS, driven, filter_of, nis, ring, s_curve
 from sugiyama_ros.driver.bicycle import (
     L_F,
     L_R,
-    SIGMA_DELTA,
-    SIGMA_PSI,
     Pose,
-    Steering,
-    car_at_period,
     car_of,
     drive,
     drive_jacobian,
-    foot_of,
-    mean_steering,
     slip_and_turn,
-    wanted_line,
     wrapped,
 )
 from sugiyama_ros.driver.parameters import (
-    RATIONALITY,
-    RHO,
-    SIGMA_A,
-    SIGMA_NU,
-    SIGMA_V,
-    SIGMA_X,
-    V_STAR,
-    at_period,
     defaults,
-    horizon_at,
     population,
 )
-from sugiyama_ros.driver.utility import ACTIONS, advance, mean_action
+from sugiyama_ros.driver.utility import advance
 from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.causal import filter_chain
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.plane import PlaneFilter, PlaneTrack
 from sugiyama_ros.road import Road
-from sugiyama_ros.simulation.simulator import Clock, Simulator, platoon, simulate
+from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
 from sugiyama_ros.trajectories.centre_line import CentreLine
-
-LENGTH_M = 4.33
-
-
-def ring() -> CentreLine:
-    """A circle of the length of the Sugiyama experiment's ring."""
-    angle = np.linspace(0.0, 2.0 * np.pi, 721)
-    x, y = 36.6 * np.cos(angle), 36.6 * np.sin(angle)
-    x[-1], y[-1] = x[0], y[0]
-    return CentreLine(x, y)
-
-
-def s_curve() -> CentreLine:
-    """Bends to the left and to the right in turn, with a radius of 40 m at the tightest."""
-    angle = np.cumsum(np.sin(2.0 * np.pi * np.arange(2400.0) / 120.0) / 40.0)
-    return CentreLine(np.cumsum(np.cos(angle)), np.cumsum(np.sin(angle)))
-
 
 # The car.
 
@@ -148,8 +116,8 @@ def test_headings_are_wrapped() -> None:
 # The filter.
 
 
-@pytest.mark.parametrize("degrees", [0.0, 30.0])
-def test_on_a_straight_line_the_filter_is_the_base_filter(degrees: float) -> None:
+@pytest.mark.parametrize(("degrees", "effect"), [(0.0, ""), (30.0, ""), (30.0, "drag")])
+def test_on_a_straight_line_the_filter_is_the_base_filter(degrees: float, effect: str) -> None:
     start = platoon(np.full(5, LENGTH_M), 2.0)
     simulated = simulate(Simulator(defaults(5), np.full(5, LENGTH_M), start, Road(), np.random.default_rng(0)), 100.0)
     chain = chain_behind(simulated.dense, 0, with_rear=False)
@@ -157,11 +125,12 @@ def test_on_a_straight_line_the_filter_is_the_base_filter(degrees: float) -> Non
     position[np.random.default_rng(1).random(position.shape) < 0.1] = np.nan
     identity[200:, 2] = 9  # another vehicle
     chain = replace(chain, position_m=position, identity=identity)
-    base = filter_chain(chain, population())
+    row = switch_on(ROW.with_effects(population()), effect, {"c0": 0.3}) if effect else population()
+    base = filter_chain(chain, row)
     cos, sin = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
     line = CentreLine(np.array([0.0, 3000.0]) * cos, np.array([0.0, 3000.0]) * sin)
     track = PlaneTrack(position[:, 0] * cos, position[:, 0] * sin, None, position[:, 1:], identity, LENGTH_M)
-    found = PlaneFilter(line, chain.period_s, 3).run(track)
+    found = PlaneFilter(line, chain.period_s, 3, row).run(track)
     known, size = np.isfinite(base.innovation_var), base.mean.shape[1]
     along = np.zeros((size, found.mean.shape[1]))  # the state along the line
     along[:, :size] = np.eye(size)
@@ -184,75 +153,24 @@ def test_on_a_straight_line_the_filter_is_the_base_filter(degrees: float) -> Non
     assert np.abs(found.d_m[known]).max() < 1e-9
 
 
-def driven(
-    line: CentreLine, period_s: float, seed: int, samples: int = 400
-) -> tuple[PlaneTrack, np.ndarray, np.ndarray]:
-    """Simulate a driver in the plane behind two vehicles; returns what is measured, the true headings, and the row."""
-    rng, row, car = np.random.default_rng(seed), defaults(), car_of()
-    row[V_STAR] = 8.0
-    p, c, horizon = at_period(row, period_s), car_at_period(car, period_s), horizon_at(period_s)
-    steering = Steering(wanted_line(line), c, float(row[RATIONALITY]), horizon * period_s)
-    start, length = np.array([20.0, 35.0]), np.full(2, LENGTH_M)
-    ahead = Simulator(
-        np.tile(row, (2, 1)),
-        length,
-        start,
-        Road(),
-        np.random.default_rng(seed + 100),
-        speed=np.full(2, 4.8),
-        clock=Clock(period_s),
-    )
-    x, y = line.at(np.array([5.0]), np.zeros(1))
-    pose, s, noise = Pose(float(x[0]), float(y[0]), float(line.heading(np.array([5.0]))[0]), 4.8, 0.0), 5.0, 0.0
-    measured, headings = np.zeros((samples, 5)), np.zeros(samples)
-    for t in range(samples):
-        s = foot_of(pose.x, pose.y, s, steering.line)[0]
-        measured[t], headings[t] = (pose.x, pose.y, pose.heading, *ahead.position_m), pose.heading
-        meant = mean_action(
-            ahead.position_m[0] - s - LENGTH_M, pose.speed, ahead.speed[0], p, ACTIONS, period_s, horizon
-        )
-        angle = mean_steering(pose, s, steering) + c[SIGMA_DELTA] * rng.standard_normal()
-        pose = drive(pose._replace(steering=angle), meant + noise, c, period_s)
-        x_noise, y_noise, v_noise, shock = rng.standard_normal(4) * p[[SIGMA_X, SIGMA_X, SIGMA_V, SIGMA_A]]
-        pose = pose._replace(x=pose.x + x_noise, y=pose.y + y_noise, speed=pose.speed + v_noise)
-        noise = p[RHO] * noise + shock
-        ahead.step()
-    measured += rng.standard_normal(measured.shape) * row[[SIGMA_NU] * 5]
-    measured[:, 2] = headings + car[SIGMA_PSI] * rng.standard_normal(samples)
-    places = line.road.wrap(measured[:, 3:])
-    return PlaneTrack(*measured[:, :3].T, places, length_m=LENGTH_M), headings, row
-
-
-def nis(line: CentreLine, period_s: float, **values: float) -> tuple[float, int]:
-    """Mean NIS of each number measured of 20 drivers, seeds 0 to 19, and how many numbers there are."""
-    each = []
-    for seed in range(20):
-        track, _, row = driven(line, period_s, seed)
-        found = PlaneFilter(line, period_s, 3, row, row, car_of(**values)).run(track)
-        counts = np.isfinite(found.sample_log_likelihood)
-        each.append(found.innovation[counts] ** 2 / found.innovation_var[counts])
-    every = np.concatenate(each)
-    return float(every.mean()), len(every)
-
-
-@pytest.mark.parametrize("period_s", [1.0 / 3.0, 0.1])
-@pytest.mark.parametrize("line", [ring(), s_curve()], ids=["ring", "s_curve"])
-def test_nis_on_curves_is_in_its_band(line: CentreLine, period_s: float) -> None:
-    mean, count = nis(line, period_s)
-    low, high = chi2.ppf([0.025, 0.975], count) / count
-    assert low < mean < high
+@pytest.mark.parametrize("period_s", PERIODS_S)
+@pytest.mark.parametrize("name", LINES)
+def test_nis_on_curves_is_in_its_band(name: str, period_s: float) -> None:
+    each = nis(LINES[name], period_s, SEEDS[:50])
+    low, high = chi2.ppf([0.025, 0.975], len(each)) / len(each)
+    assert low < each.mean() < high
 
 
 def test_nis_tells_a_driver_who_looks_further_ahead_from_one_who_does_not() -> None:
-    mean, count = nis(s_curve(), 0.1, look_ahead=15.0)
-    assert mean > chi2.ppf(0.9999, count) / count
+    each = nis(s_curve(), 0.1, SEEDS[:50], look_ahead=15.0)
+    assert each.mean() > chi2.ppf(0.9999, len(each)) / len(each)
 
 
 def test_a_predicted_path_is_what_the_filter_expects_without_measurements() -> None:
     line = ring()
-    track, _, row = driven(line, 0.1, 3, samples=200)
-    filter_ = PlaneFilter(line, 0.1, 3, row, row)
-    found = filter_.run(track)
+    one = driven(line, 0.1, 3)
+    filter_ = filter_of(line, 0.1, one)
+    found = filter_.run(one.track)
     path = filter_.predicted_path(2.0)
     missing = PlaneTrack(*np.full((3, 20), np.nan), np.full((20, 2), np.nan), length_m=LENGTH_M)
     assert path.time_s[0] == pytest.approx(found.time_s[-1] + 0.1)
