@@ -166,7 +166,9 @@ class PlaneEstimates(Result):
     def headline(self) -> str:
         """Say how many samples there are, and how well they are predicted."""
         counted = int(np.isfinite(self.sample_log_likelihood).sum())
-        nis = figure(float(np.nansum(self.nis)) / max(counted, 1))
+        if not counted:
+            return f"{len(self.time_s)} samples in the plane, too few to tell how well they are predicted"
+        nis = figure(float(np.nansum(self.nis)) / counted)
         return f"{len(self.time_s)} samples in the plane, NIS {nis} for each number measured"
 
     def records(self) -> Sequence[Mapping[str, Any]]:
