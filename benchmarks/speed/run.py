@@ -15,8 +15,8 @@ from pathlib import Path
 
 from benchmarks.speed.timing import SpeedFigure, jam
 from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.filters.chain import NOTHING_AROUND
 from sugiyama_ros.filters.extract import chain_behind
-from sugiyama_ros.filters.kalman import NO_REAR
 from sugiyama_ros.filters.online import OnlineFilter
 from sugiyama_ros.filters.online_step import online_arrays, step
 from sugiyama_ros.formats.convert import write_bag
@@ -46,7 +46,7 @@ def filters_s(t: DenseTracks) -> float:
     work = []
     for driver in range(len(t.vehicle)):
         chain, kalman = chain_behind(t, driver), OnlineFilter(t.period_s, t.road).kalman
-        kalman.arrays.sample.rear[:] = NO_REAR
+        kalman.arrays.sample.around[:] = NOTHING_AROUND
         work.append((kalman.memory, chain.position_m, chain.identity, chain.length_m))
     first = work[0]
     _steps(first[0].copy(), *first[1:])  # compiles

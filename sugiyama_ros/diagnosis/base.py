@@ -36,8 +36,10 @@ _NOISES = Candidate("noises", "noises", "noise", tuple(map(index, FREED)), ({},)
 
 def base_model(data: Recorded, work: Executor, law: str = PAPERS) -> tuple[Recorded, JointFit]:
     """Fit the base model, and fit the noises of position and speed as well if that is clearly better."""
-    if law != PAPERS and not data.even.frees_noises:
-        # the fixed noises are those of the paper's drivers; drivers of another law have their own
+    others = law != PAPERS or bool(np.isfinite(data.lines[:, :, 0]).any())
+    if others and not data.even.frees_noises:
+        # the fixed noises are those of the paper's drivers in a jam; drivers of another law, and at junctions, have
+        # their own
         data = replace(data, even=data.even._replace(has_other_noises=True))
     base = in_filter(data, law, work)
     if data.even.frees_noises:

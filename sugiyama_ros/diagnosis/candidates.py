@@ -160,7 +160,7 @@ def chosen(data: Recorded, possible: Sequence[Candidate], name: str) -> Candidat
     if mine:
         return mine[0]
     known = sorted({one for c in possible for one in (c.name, c.mechanism)})
-    why = not_searched(data).get(name, "")
+    why = why_not(EFFECTS[name], data) if name in EFFECTS and EFFECTS[name].is_searched else ""
     raise InputError(
         f"effect {name!r}: cannot be added here{f': {why}' if why else ''}; choose among {', '.join(known)}"
     )
@@ -192,15 +192,25 @@ def with_candidate(model: Model, candidate: Candidate, start: Start) -> Model:
 
 
 def not_searched(data: Recorded) -> dict[str, str]:
-    """Return the effects that this recording cannot show, with the reason, by name."""
-    return {name: why for name, e in EFFECTS.items() if e.is_searched and (why := why_not(e, data))}
+    """Return the effects that this recording cannot show, with the reason, by name.
+
+    On a road without lines and curves, effects that act only there are no question.
+    """
+    own = recording_of(data)
+    asked = [e for e in EFFECTS.values() if e.is_searched and (own.has_lines or own.has_curves or not _at_junctions(e))]
+    return {e.name: why for e in asked if (why := why_not(e, data))}
+
+
+def _at_junctions(e: Effect) -> bool:
+    """Whether an effect acts only at lines or in curves."""
+    return not e.starts(Extent(0.0, 100.0, 100.0, 0.0, 100.0))
 
 
 def why_not(e: Effect, data: Recorded) -> str:
     """Return why a search for an effect makes no sense for a recording; empty if it does."""
     around, axes = data.vicinity, {p.axis for p in e.parameters}
     if not e.starts(recording_of(data)):
-        return "the road is no ring"
+        return "there are no lines or no curves" if _at_junctions(e) else "the road is no ring"
     if around.is_whole_road:
         return "too few vehicles" if data.drivers <= e.reach else ""
     ahead = np.median([chain.position_m.shape[1] - 1 for chain in data.chains])
@@ -217,7 +227,9 @@ def recording_of(data: Recorded) -> Extent:
     """Return what a search may know about a recording."""
     around = data.vicinity
     first, last = float(np.nanmin(around.position_m)), float(np.nanmax(around.position_m))
-    return Extent(*around.first_last_s, around.road.circumference_m, first, last)
+    place, _, _, curvature = np.moveaxis(data.lines, -1, 0)
+    lines, curves = bool(np.isfinite(place).any()), bool((np.nan_to_num(curvature) > 0.0).any())
+    return Extent(*around.first_last_s, around.road.circumference_m, first, last, lines, curves)
 
 
 def push_of_one(data: Recorded, samples: PointwiseDensity) -> Candidate | None:

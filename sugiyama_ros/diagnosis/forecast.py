@@ -27,7 +27,7 @@ from sugiyama_ros.driver.parameters import SIGMA_NU, at_period, horizon_at, inde
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.effects.control import displacements, is_contaminated, noise_std_factors, weigh
 from sugiyama_ros.filters.causal import ChainJob, filter_each
-from sugiyama_ros.filters.chain import adaptation_of
+from sugiyama_ros.filters.chain import NO_LINE, adaptation_of
 from sugiyama_ros.filters.state import STATE
 from sugiyama_ros.filters.update import SETTLING
 from sugiyama_ros.fit.model import Model, PointwiseDensity, between_measurements, filtered_states, jobs_of, together
@@ -100,7 +100,8 @@ def surroundings(data: Recorded, model: Model, work: Executor) -> Surroundings:
     unbroken = data.segment[:, starts - SETTLING] == data.segment[:, starts + steps[-1]]
     unbroken &= data.scored[:, starts]
     states = between_measurements(data, filtered_states(data, model, work))
-    led = np.array([around.leader[starts, i] >= 0 for i in range(data.drivers)])
+    lines = data.lines[:, :, 0]
+    led = np.array([(around.leader[starts, i] >= 0) | np.isfinite(lines[starts, i]) for i in range(data.drivers)])
     if led.any():
         unbroken &= led
     some = unbroken.any(axis=0)
@@ -247,6 +248,7 @@ class _Fold(NamedTuple):
         everybody = np.resize(rows, (vehicles, rows.shape[1]))
         ring = around.road.circumference_m
         setting = Setting(around.period_s, horizon_at(around.period_s), ring)
+        lines = data.lines[k : k + steps[-1] + 1]
         rng, start_s = np.random.default_rng(k), float(around.time_s[k, np.argmax(who)])
         mean, root = _posterior(states, recorded[0])
         shape = (int(steps[-1]), vehicles)
@@ -262,9 +264,8 @@ class _Fold(NamedTuple):
                     if is_road:
                         run_coupled(begun, order, everybody, ACTIONS, start_s, setting, sign * shock, out)
                     else:
-                        run_single(
-                            np.flatnonzero(who), begun, order, everybody, ACTIONS, start_s, setting, sign * shock, out
-                        )
+                        told = everybody, ACTIONS, start_s, setting, lines, sign * shock
+                        run_single(np.flatnonzero(who), begun, order, *told, out)
                     at = np.ascontiguousarray(out[steps - 1, :, 0])
                     ends[j, 2 * pair + half] = at + np.array([displacements(x, ring, everybody) for x in at])
         measured = around.position_m[k + steps]
@@ -327,4 +328,4 @@ def _order(around: Vicinity, k: int, start: Array) -> Order:
     leader = np.where(np.isfinite(start[around.leader[k], 0]), around.leader[k], -1)
     headway = np.where(leader >= 0, start[leader, 0] - start[:, 0], 0.0)
     turn = np.nan_to_num(ring * np.floor(headway / ring)) if ring else np.zeros(len(leader))
-    return Order(leader, turn, around.length_m[k])
+    return Order(leader, turn, around.length_m[k], np.full((len(leader), len(NO_LINE)), np.nan))

@@ -113,6 +113,19 @@ def gap_and_scale(
 
 
 @kernel(vectorised=True)
+def risk_ahead(
+    gap: float, speed: float, other_speed: float, action: float, period: float, horizon: int, driver: Preferences
+) -> float:
+    """Compute the largest risk, from 0 to 1, of a vehicle ahead in the look-ahead, as phi2 of the paper does."""
+    near, wide = gap_and_scale(action, 1, gap, speed, other_speed, driver, period)
+    for tau in range(2, horizon + 1):
+        gap_then, wide_then = gap_and_scale(action, tau, gap, speed, other_speed, driver, period)
+        if gap_then * wide < near * wide_then:
+            near, wide = gap_then, wide_then
+    return collision_penalty(near / wide)
+
+
+@kernel(vectorised=True)
 def _smallest_gaps(
     gap: float, speed: float, leader_speed: float, driver: Preferences, scratch: Array, period: float, horizon: int
 ) -> None:

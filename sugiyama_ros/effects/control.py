@@ -20,6 +20,7 @@ from numba import types
 from sugiyama_ros import by_address
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.by_address import calling, entry_of, part_of, type_of, word
+from sugiyama_ros.driver.line import TIME_GAP_S, attention
 from sugiyama_ros.driver.parameters import REFERENCE_HORIZON
 from sugiyama_ros.driver.utility import (
     FREE_ROW,
@@ -28,10 +29,12 @@ from sugiyama_ros.driver.utility import (
     Preferences,
     boltzmann_mean,
     preferences,
+    risk_ahead,
     utilities,
 )
 from sugiyama_ros.effects.effect import (
     ACTUATION,
+    ATTENTION,
     ENVIRONMENT,
     MEASUREMENT,
     PERCEPTION,
@@ -49,7 +52,7 @@ from sugiyama_ros.laws.registry import ADAPTIVE_SEEK, LAWS
 
 # The hooks. The table begins with four words for each: first function, end, first switch, end.
 _PERCEIVE, _PREFER, _VALUE, _ACTUATE, _PUSH, _CHANGE, _EXPECT = range(7)
-_NOISE, _DISPLACE, _UNEVEN, _WEIGH, _LAW, _FEEL, _LOOK_BACK = range(7, 14)
+_NOISE, _DISPLACE, _UNEVEN, _WEIGH, _LAW, _FEEL, _LOOK_BACK, _ATTEND = range(7, 15)
 # Words of a function: its address, first and end of its parameters in a row, first and end of its switches; for a law
 # its number in place of the switches.
 _ADDRESS, _PARAMETERS, _END, _SWITCH, _LAST_SWITCH = range(5)
@@ -62,6 +65,7 @@ _number, _numbers = types.float64, types.float64[::1]
 _pair, _triple, _driver = (type_of((0.0,) * entries) for entries in (2, 3, 7))
 # Signature of the functions of each hook, and the function that calls one of them.
 _perceive_type, _call_perceive = calling(_triple, _seen, _numbers)
+_attend_type, _call_attend = calling(_number, _number, _seen, _numbers)
 _prefer_type, _call_prefer = calling(_pair, _number, _number, _seen, _numbers)
 _value_type, _call_value = calling(types.void, _seen, _numbers, _number, types.int64, _numbers, _driver, _numbers)
 _actuate_type, _call_actuate = calling(_number, _number, _seen, _numbers)
@@ -214,6 +218,7 @@ def _fill_all() -> None:
     perceiving, valuing = _of("function", PERCEPTION, MEASUREMENT), _of("function", UTILITY)
     table: dict[int, tuple[list[tuple[Effect, Any]], Any]] = {
         _PERCEIVE: (perceiving, _perceive_type),
+        _ATTEND: (_of("function", ATTENTION), _attend_type),
         _PREFER: (_of("function", PREFERENCE), _prefer_type),
         _VALUE: (valuing, _value_type),
         _ACTUATE: (_of("function", ACTUATION), _actuate_type),
@@ -261,6 +266,16 @@ def law_acceleration(gap: float, speed: float, leader_speed: float, row: Array) 
 
 
 @kernel(allocates=False)
+def law_action(perceived: Seen, row: Array) -> float:
+    """Compute the acceleration [m/s^2] by the law of a row, behind the leader and behind the line."""
+    free = law_acceleration(perceived.gap, perceived.speed, perceived.leader_speed, row)
+    paid = attend(perceived, row)
+    if paid == 0.0:
+        return free
+    return free + paid * min(law_acceleration(perceived.line_gap, perceived.speed, 0.0, row) - free, 0.0)
+
+
+@kernel(allocates=False)
 def noise_factor(speed: float, row: Array) -> float:
     """Compute the factor of the std of the acceleration noise at a speed [m/s], for a row (width,)."""
     factor = 1.0
@@ -303,6 +318,18 @@ def sees_as_it_is(row: Array) -> bool:
 
 
 @kernel(allocates=False)
+def attend(perceived: Seen, row: Array) -> float:
+    """Return the attention, from 0 to 1, that the driver of a row (width,) pays to the line ahead."""
+    if math.isinf(perceived.line_gap):
+        return 0.0
+    paid = attention(perceived.line_gap, perceived.speed, perceived.arrive_s, perceived.clear_s, TIME_GAP_S)
+    for f in _functions_of(_ATTEND):
+        if _is_on(f, row):
+            paid = _call_attend(f, paid, perceived, part_of(row, f + _PARAMETERS))
+    return paid
+
+
+@kernel(allocates=False)
 def has_components(row: Array) -> bool:
     """Whether effects add components to the utility, for a row (width,)."""
     return _acts(_VALUE, row)
@@ -320,7 +347,15 @@ def add_components(
     utility: Array,
     stride: int,
 ) -> None:
-    """Add what effects add to the utilities of actions (K,) [m/s^2], to every ``stride``-th entry of ``utility``."""
+    """Add the risk at the line, and what effects add, to the utilities of actions (K,) [m/s^2].
+
+    ``utility`` holds the utility of each action in every ``stride``-th entry.
+    """
+    paid = attend(perceived, row)
+    if paid != 0.0:
+        weight, gap, speed = paid * driver[5], perceived.line_gap, perceived.speed
+        for k in range(len(actions)):
+            utility[stride * k] += weight * risk_ahead(gap, speed, 0.0, actions[k], period, horizon, driver)
     for f in _functions_of(_VALUE):
         if _is_on(f, row):
             _call_value(f, perceived, actions, period, horizon, part_of(row, f + _PARAMETERS), driver, added)
@@ -358,12 +393,12 @@ def intend(seen: Seen, row: Array, scratch: Array, period: float, horizon: int) 
     if seeks(row):
         driver = prefer(perceived, row)
         utilities(gap, speed, leader_speed, driver, scratch, period, horizon)
-        if has_components(row):
+        if has_components(row) or perceived.line_gap < math.inf:
             actions, utility = scratch[GRID_ROW], scratch[UTILITY_ROW]
             add_components(perceived, actions, period, horizon, row, driver, scratch[FREE_ROW], utility, 1)
         action = boltzmann_mean(scratch, driver[-1])
     else:
-        action = law_acceleration(gap, speed, leader_speed, row)
+        action = law_action(perceived, row)
     return act(action, seen, row)
 
 

@@ -13,15 +13,16 @@ from sugiyama_ros.driver.parameters import Parameter, check_declared
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.jit import kernel
 
-PERCEPTION, PREFERENCE, UTILITY, ACTUATION, ENVIRONMENT, MEASUREMENT = (
+PERCEPTION, ATTENTION, PREFERENCE, UTILITY, ACTUATION, ENVIRONMENT, MEASUREMENT = (
     "perception",
+    "attention",
     "preference",
     "utility",
     "actuation",
     "environment",
     "measurement",
 )
-STAGES = (PERCEPTION, PREFERENCE, UTILITY, ACTUATION, ENVIRONMENT, MEASUREMENT)
+STAGES = (PERCEPTION, ATTENTION, PREFERENCE, UTILITY, ACTUATION, ENVIRONMENT, MEASUREMENT)
 
 
 class Seen(NamedTuple):
@@ -43,6 +44,15 @@ class Seen(NamedTuple):
     past_gap, past_speed, past_leader_speed : float
         Gap [m], speed [m/s] and leader's speed [m/s] one reaction time ago. Without an effect that looks back, these
         are the gap and the speeds of now.
+    line_gap : float
+        Gap [m] between the front bumper and the next line before which the rule may ask the driver to wait: where lanes
+        meet, or at a signal. Infinite without a line, and below 0 behind the line.
+    arrive_s, clear_s : float
+        Times [s] until whoever goes first reaches the place behind the line, and until they have left it. The first is
+        at most 0 while the place is taken or the signal is red; the second is infinite at a red signal, and below 0
+        after the signal has turned green.
+    curvature : float
+        Largest curvature [1/m] of the road just ahead; 0 on a straight road.
     """
 
     gap: float
@@ -60,28 +70,50 @@ class Seen(NamedTuple):
     past_gap: float
     past_speed: float
     past_leader_speed: float
+    line_gap: float
+    arrive_s: float
+    clear_s: float
+    curvature: float
+
+
+@kernel
+def with_motion(
+    seen: Seen,
+    view: tuple[float, float, float],
+    accelerations: tuple[float, float],
+    past: tuple[float, float, float],
+    line_gap: float,
+) -> Seen:
+    """Replace gaps, speeds, accelerations and the view of the past; the other fields stay."""
+    return Seen(
+        gap=view[0],
+        speed=view[1],
+        leader_speed=view[2],
+        position=seen.position,
+        time=seen.time,
+        circumference=seen.circumference,
+        acceleration=accelerations[0],
+        leader_acceleration=accelerations[1],
+        second_gap=seen.second_gap,
+        second_speed=seen.second_speed,
+        rear_gap=seen.rear_gap,
+        rear_speed=seen.rear_speed,
+        past_gap=past[0],
+        past_speed=past[1],
+        past_leader_speed=past[2],
+        line_gap=line_gap,
+        arrive_s=seen.arrive_s,
+        clear_s=seen.clear_s,
+        curvature=seen.curvature,
+    )
 
 
 @kernel
 def with_view(seen: Seen, gap: float, speed: float, leader_speed: float) -> Seen:
     """Replace the gap [m], the speed [m/s] and the leader's speed [m/s]; the other fields stay."""
-    return Seen(
-        gap=gap,
-        speed=speed,
-        leader_speed=leader_speed,
-        position=seen.position,
-        time=seen.time,
-        circumference=seen.circumference,
-        acceleration=seen.acceleration,
-        leader_acceleration=seen.leader_acceleration,
-        second_gap=seen.second_gap,
-        second_speed=seen.second_speed,
-        rear_gap=seen.rear_gap,
-        rear_speed=seen.rear_speed,
-        past_gap=seen.past_gap,
-        past_speed=seen.past_speed,
-        past_leader_speed=seen.past_leader_speed,
-    )
+    accelerations = seen.acceleration, seen.leader_acceleration
+    past = seen.past_gap, seen.past_speed, seen.past_leader_speed
+    return with_motion(seen, (gap, speed, leader_speed), accelerations, past, seen.line_gap)
 
 
 class Extent(NamedTuple):
@@ -95,6 +127,8 @@ class Extent(NamedTuple):
         Circumference [m] of the ring; 0 for an open road.
     first_m, last_m : float
         Smallest and largest position [m].
+    has_lines, has_curves : bool
+        Whether drivers come to lines before which they let others pass, and to curves.
     """
 
     start_s: float
@@ -102,6 +136,8 @@ class Extent(NamedTuple):
     circumference_m: float
     first_m: float
     last_m: float
+    has_lines: bool = False
+    has_curves: bool = False
 
 
 # Number of arguments of a component of the utility that takes the driver's preferences.
@@ -175,6 +211,7 @@ class Effect:
     function : callable, optional
         Compiled with ``numba.njit``. ``seen`` is a `Seen`, and ``p`` holds the effect's parameters. By stage:
 
+        - attention: (attention, seen, p) -> attention, from 0 to 1, that the driver pays to the line ahead;
         - perception, measurement: (seen, p) -> gap, speed, leader_speed as the driver perceives them;
         - preference: (v_star, kappa_v, seen, p) -> v_star, kappa_v;
         - utility: (seen, action, period, horizon, p) -> term that is added to the utility of holding the action; a
@@ -277,7 +314,7 @@ class Effect:
     @property
     def is_searched(self) -> bool:
         """Whether a search can find the effect in some recording."""
-        return bool(self.starts(Extent(0.0, 100.0, 100.0, 0.0, 100.0)))
+        return bool(self.starts(Extent(0.0, 100.0, 100.0, 0.0, 100.0, has_lines=True, has_curves=True)))
 
     @property
     def switches(self) -> tuple[str, ...]:
@@ -310,3 +347,8 @@ def at(*values: Values) -> Callable[[Extent], tuple[Values, ...]]:
         Extent -> starts, for ``Effect.starts``.
     """
     return lambda _: values
+
+
+def at_lines(*values: Values) -> Callable[[Extent], tuple[Values, ...]]:
+    """Make starts of a search in recordings in which drivers come to lines; arguments and result as of `at`."""
+    return lambda recording: values if recording.has_lines else ()

@@ -4,7 +4,7 @@ import math
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
-from sugiyama_ros.driver.utility import Preferences, collision_penalty, gap_and_scale
+from sugiyama_ros.driver.utility import Preferences, risk_ahead
 from sugiyama_ros.effects.effect import PERCEPTION, UTILITY, Effect, Seen, at
 from sugiyama_ros.jit import kernel
 
@@ -23,25 +23,12 @@ def _perceive(seen: Seen, p: Array) -> tuple[float, float, float]:
 
 
 @kernel(vectorised=True)
-def _risk_ahead(
-    gap: float, speed: float, other_speed: float, action: float, period: float, horizon: int, driver: Preferences
-) -> float:
-    """Compute the largest risk, from 0 to 1, of a vehicle ahead in the look-ahead, as phi2 of the paper does."""
-    near, wide = gap_and_scale(action, 1, gap, speed, other_speed, driver, period)
-    for tau in range(2, horizon + 1):
-        gap_then, wide_then = gap_and_scale(action, tau, gap, speed, other_speed, driver, period)
-        if gap_then * wide < near * wide_then:
-            near, wide = gap_then, wide_then
-    return collision_penalty(near / wide)
-
-
-@kernel(vectorised=True)
 def _component(seen: Seen, action: float, period: float, horizon: int, p: Array, driver: Preferences) -> float:
     """Compute the risk of the second vehicle ahead, at the share ``p[1]`` of the sum of both gaps."""
     if math.isinf(seen.second_gap):
         return 0.0
     gap = float(p[1]) * (seen.gap + seen.second_gap)
-    return float(p[0] * driver[5] * _risk_ahead(gap, seen.speed, seen.second_speed, action, period, horizon, driver))
+    return float(p[0] * driver[5] * risk_ahead(gap, seen.speed, seen.second_speed, action, period, horizon, driver))
 
 
 _UTILITY = Effect(

@@ -438,7 +438,7 @@ def _at(t: int, samples: PlaneSamples, plane: Plane, step: FilterStep) -> Filter
         step.out,
         step.batch,
         samples.length[t],
-        step.rear,
+        step.around,
         plane.clock[0],
         step.places,
         step.root,

@@ -51,6 +51,7 @@ from sugiyama_ros.filters.abreast import (
 from sugiyama_ros.filters.chain import NOT_ADAPTED, Adaptation, Chain, adaptation_of, chain_parameters
 from sugiyama_ros.filters.predict import add_all_components, aim, linearise
 from sugiyama_ros.filters.state import (
+    LOOKED_AT,
     MOVING,
     STATE,
     Drivers,
@@ -76,11 +77,11 @@ from sugiyama_ros.filters.update import (
 from sugiyama_ros.jit import kernel
 
 # Arrays of a chain, in the order of ``Observed``.
-_MEASURED = ("position_m", "identity", "length_m", "rear")
+_MEASURED = ("position_m", "identity", "length_m", "around")
 
 
 class Observed(NamedTuple):
-    """Recordings of C chains: position, identity, length (C, T, M) and rear (C, T, 3), as in ``Chain``.
+    """Recordings of C chains: position, identity, length (C, T, M) and around (C, T, 7), as in ``Chain``.
 
     start_s: (C,) time of the first sample [s]; samples: (C,) number of samples to filter, at most T.
     """
@@ -88,7 +89,7 @@ class Observed(NamedTuple):
     position: Array
     identity: Ints
     length: Array
-    rear: Array
+    around: Array
     start_s: Array
     samples: Ints
 
@@ -224,9 +225,9 @@ def _run(jobs: Sequence[ChainJob], adaptation: Adaptation, trace: _Trace, sample
     predicted = Predicted(*(np.full((len(jobs), samples), np.nan) for _ in range(3)))
     places, prior_var = adaptation.arrays
     start_s, ends = np.array([chain.start_s for chain in chains]), np.array([chain.end for chain in chains])
-    position, identity, length, rear = (_stacked([getattr(chain, name) for chain in chains]) for name in _MEASURED)
+    position, identity, length, around = (_stacked([getattr(chain, name) for chain in chains]) for name in _MEASURED)
     run(
-        Observed(position, identity, length, rear, start_s, ends),
+        Observed(position, identity, length, around, start_s, ends),
         # contiguous, whatever the number of chains: the filter is compiled once
         Drivers(rows, places, np.ascontiguousarray(np.log(rows[:, 0, [UTILITY[k] for k in places]])), prior_var),
         ACTIONS,
@@ -297,7 +298,7 @@ def _step_of(c: int, t: int, observed: Observed, filters: _Filters, scene: Scene
         linearised_of(c, filters.abreast),
         filters.batch,
         observed.length[c, t],
-        observed.rear[c, t],
+        observed.around[c, t],
         time_s,
         filters.places[c],
         filters.root[c],
@@ -424,7 +425,7 @@ def run(
     """Filter C chains, at most ABREAST, over up to T samples; actions: (K,) [m/s^2] that the drivers consider."""
     count, _, vehicles = observed.position.shape
     a, past = len(drivers.adapted), entries_of_past(vehicles, periods_back)
-    size, most = STATE * vehicles + a + past, 5 + a
+    size, most = STATE * vehicles + a + past, LOOKED_AT + a
     abreast = abreast_for(_live(drivers.parameters, size, len(trace.means) > 0), size)
     for c in range(count):
         for k in range(a):

@@ -13,6 +13,13 @@ from sugiyama_ros.errors import InputError
 
 #: Vehicles in a chain: own, leader and the leader's leader.
 CHAIN = 3
+#: Position [m], speed [m/s] and length [m] of the vehicle behind where there is none.
+NO_REAR = (math.nan, math.nan, math.nan)
+#: Position [m] of the line ahead, two times [s] and the curvature [1/m] where there is neither a line nor a curve.
+NO_LINE = (math.nan, math.nan, math.nan, math.nan)
+#: What a driver sees besides the chain, as of ``Chain.around``, where there is nothing, and the number of its entries.
+NOTHING_AROUND = (*NO_REAR, *NO_LINE)
+AROUND = len(NOTHING_AROUND)
 _WANDERING = tuple(e for e in EFFECTS.values() if e.wanders)
 
 
@@ -21,14 +28,16 @@ class Chain:
     """What is measured of one driver and of the vehicles ahead, M in all, own first.
 
     position_m: (T, M), NaN where missing; identity: (T, M) number of the vehicle, -1 for none; length_m: (T, M);
-    rear: (T, 3) filtered position [m] and speed [m/s], and length [m], of the vehicle behind, NaN where there is none;
+    around: (T, 7) what else the driver sees, NaN where there is none: filtered position [m] and speed [m/s], and length
+    [m], of the vehicle behind; position [m] of the line ahead, and times [s] until who goes first reaches the place
+    behind it and has left it; curvature [1/m] of the road;
     start_s: time [s] of the first sample; circumference_m: length of the ring, 0 for an open road.
     """
 
     position_m: Array
     identity: Ints
     length_m: Array
-    rear: Array
+    around: Array
     period_s: float
     start_s: float
     circumference_m: float

@@ -8,7 +8,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.driver.parameters import population
 from sugiyama_ros.filters.causal import filter_chain
-from sugiyama_ros.filters.chain import CHAIN, Chain
+from sugiyama_ros.filters.chain import AROUND, CHAIN, Chain
 from sugiyama_ros.trajectories.dense import DenseTracks
 from sugiyama_ros.trajectories.stretches import Stretch, stretches
 from sugiyama_ros.trajectories.tracks import Tracks
@@ -34,7 +34,9 @@ def chain_behind(
     chain = _of_columns(trajectories, np.stack(columns, axis=1), segment)
     if not with_rear:
         return chain
-    return replace(chain, rear=track(_of_columns(trajectories, trajectories.follower[:, driver, None], segment)))
+    around = chain.around.copy()
+    around[:, :3] = track(_of_columns(trajectories, trajectories.follower[:, driver, None], segment))
+    return replace(chain, around=around)
 
 
 def _of_columns(trajectories: DenseTracks, columns: Ints, segment: Ints | None) -> Chain:
@@ -48,7 +50,7 @@ def _of_columns(trajectories: DenseTracks, columns: Ints, segment: Ints | None) 
         position_m=np.where(there, trajectories.position_m[samples[:, None], columns], np.nan),
         identity=np.where(there, identity, -1),
         length_m=np.where(there, trajectories.length_m[columns], 0.0),
-        rear=np.full((len(columns), 3), np.nan),
+        around=np.full((len(columns), AROUND), np.nan),
         period_s=trajectories.period_s,
         start_s=trajectories.start_s,
         circumference_m=trajectories.road.circumference_m,
@@ -101,19 +103,22 @@ def divided(drive: Drive, parts: int) -> Drive:
     if parts == 1:
         return drive
     chain, there = drive.chain, parts * (len(drive.scored) - 1) + 1
-    position, rear = (np.full((parts * len(one), one.shape[1]), np.nan) for one in (chain.position_m, chain.rear))
+    position, around = (np.full((parts * len(one), one.shape[1]), np.nan) for one in (chain.position_m, chain.around))
     position[::parts], identity = chain.position_m, np.repeat(chain.identity, parts, axis=0)
     identity[there:] = -1
     samples, times = np.arange(len(identity)), np.arange(0, len(identity), parts)
-    for k, column in enumerate(chain.rear.T):
+    for k, column in enumerate(chain.around.T):
         # the vehicle behind goes on evenly between two samples
-        rear[:there, k] = np.interp(samples[:there], times, column)
+        around[:there, k] = np.interp(samples[:there], times, column)
+    # a line is where it is, and between two samples its times pass as time does
+    around[:there, 3:] = np.repeat(chain.around[:, 3:], parts, axis=0)[:there]
+    around[:there, 4:6] -= (chain.period_s / parts * (samples[:there] % parts))[:, None]
     finer = replace(
         chain,
         position_m=position,
         identity=identity,
         length_m=np.repeat(chain.length_m, parts, axis=0),
-        rear=rear,
+        around=around,
         period_s=chain.period_s / parts,
     )
     return Drive(drive.stretch, finer, np.repeat(drive.scored, parts))
@@ -122,20 +127,21 @@ def divided(drive: Drive, parts: int) -> Drive:
 def chain_of(stretch: Stretch) -> Chain:
     """The chain of one stretch."""
     behind = stretch.behind
-    rear: Array = np.full((len(behind), 3), np.nan)
+    around: Array = np.full((len(behind), AROUND), np.nan)
     if (behind[:, 0] >= 0).any():
-        rear = track(
-            _chain(stretch, behind[:, 1:2], behind[:, :1].astype(np.int64), np.nan_to_num(behind[:, 2:]), rear)
+        around[:, :3] = track(
+            _chain(stretch, behind[:, 1:2], behind[:, :1].astype(np.int64), np.nan_to_num(behind[:, 2:]), around)
         )
-    return _chain(stretch, stretch.position_m, stretch.identity, stretch.length_m, rear)
+    around[:, 3:] = stretch.line
+    return _chain(stretch, stretch.position_m, stretch.identity, stretch.length_m, around)
 
 
-def _chain(stretch: Stretch, position_m: Array, identity: Ints, length_m: Array, rear: Array) -> Chain:
+def _chain(stretch: Stretch, position_m: Array, identity: Ints, length_m: Array, around: Array) -> Chain:
     return Chain(
         position_m=position_m,
         identity=identity,
         length_m=length_m,
-        rear=rear,
+        around=around,
         period_s=stretch.period_s,
         start_s=stretch.start_s,
         circumference_m=stretch.ring_m,

@@ -14,7 +14,7 @@ from sugiyama_ros.driver.parameters import NAMES, UTILITY, at_period, population
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.effects.registry import ROW, active, effect, index_of
 from sugiyama_ros.filters.alarm import onsets_for
-from sugiyama_ros.filters.chain import Adaptation, adaptation_of, chain_parameters
+from sugiyama_ros.filters.chain import AROUND, Adaptation, adaptation_of, chain_parameters
 from sugiyama_ros.filters.noise import NOISES, Learning, Noises
 from sugiyama_ros.filters.online_step import (
     HEADER,
@@ -32,9 +32,6 @@ from sugiyama_ros.filters.online_step import (
     weigh,
 )
 from sugiyama_ros.filters.state import STATE, Scene, scene_at
-
-#: Position [m], speed [m/s] and length [m] of the vehicle behind where there is none.
-NO_REAR = (math.nan, math.nan, math.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +158,7 @@ class OnlineKalman:
         self._covariance = self.arrays.result[RESULTS:].reshape((3, 3))
         m = len(state.known)
         self._bytes = memory.data.cast("B")
-        self._pack = struct.Struct(f"={m}d{m}q{m}d3d2d").pack_into
+        self._pack = struct.Struct(f"={m}d{m}q{m}d{AROUND}d2d").pack_into
         self._unpack = struct.Struct(f"={RESULTS}d").unpack_from
         self._result_at = self.arrays.result.ctypes.data - memory.ctypes.data
 
@@ -235,17 +232,17 @@ class OnlineKalman:
         position_m: Sequence[float],
         identity: Sequence[int],
         length_m: Sequence[float],
-        rear: tuple[float, float, float],
+        around: Sequence[float],
         time_s: float,
         periods: float = 1.0,
     ) -> Estimate:
         """Go on by some periods and take in a sample.
 
-        position_m, identity, length_m: of the vehicles, (M,), as for ``OnlineFilter.step``; rear: position [m], speed
-        [m/s] and length [m] of the vehicle behind; ``NO_REAR`` where it is not known; time_s: time of the recording
+        position_m, identity, length_m: of the vehicles, (M,), as for ``OnlineFilter.step``; around: (7,) what else the
+        driver sees, as of ``Chain.around``; ``NOTHING_AROUND`` where nothing is known; time_s: time of the recording
         [s]; periods: time since the sample before, in periods of the model: one step of ``steps_between``.
         """
-        self._pack(self._bytes, 8 * HEADER, *position_m, *identity, *length_m, *rear, time_s, periods)
+        self._pack(self._bytes, 8 * HEADER, *position_m, *identity, *length_m, *around, time_s, periods)
         self._step()
         *told, scored, changed, jump = self._unpack(self._bytes, self._result_at)
         self.change_of_style = None if changed < 0.0 else (NAMES[self.model.adapted[int(changed)]], math.exp(jump))

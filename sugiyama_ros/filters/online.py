@@ -14,10 +14,10 @@ from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.driver.parameters import NAMES, V_STAR, check, population
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.filters.chain import CHAIN, NOT_ADAPTED, Adaptation
+from sugiyama_ros.filters.chain import CHAIN, NO_LINE, NO_REAR, NOT_ADAPTED, NOTHING_AROUND, Adaptation
 from sugiyama_ros.filters.first_look import NOBODY as NOBODY
 from sugiyama_ros.filters.first_look import SMOOTHED, ChainStep, FirstLook, steps_between
-from sugiyama_ros.filters.kalman import NO_REAR, ChainModel, FilterpyKalman, OnlineKalman, chain_model
+from sugiyama_ros.filters.kalman import ChainModel, FilterpyKalman, OnlineKalman, chain_model
 from sugiyama_ros.filters.kalman import Estimate as Estimate
 from sugiyama_ros.filters.noise import NOISES, Learning
 from sugiyama_ros.road import Road
@@ -243,6 +243,7 @@ class OnlineFilter:
         time_s: float = 0.0,
         behind: tuple[float, int, float] = NOBODY,
         elapsed_s: float | None = None,
+        line: tuple[float, float, float, float] = NO_LINE,
     ) -> Estimate:
         """Go on in time and take in a sample.
 
@@ -251,9 +252,10 @@ class OnlineFilter:
         position_m: measured positions [m], own first, then the vehicles ahead, (M,); naN where missing; length_m: their
         lengths [m], (M,); time_s: time of the recording [s], for effects that depend on it; behind: position [m],
         number and length [m] of the vehicle behind, where ``looks_back``; elapsed_s: time [s] since the sample before,
-        above 0; a period if left out.
+        above 0; a period if left out; line: position [m] of the line ahead, times [s] until who goes first reaches the
+        place behind it and has left it, and curvature [1/m] of the road.
         """
-        sample = ChainStep(position_m, identity, length_m, time_s, behind, elapsed_s)
+        sample = ChainStep(position_m, identity, length_m, time_s, behind, elapsed_s, line)
         estimate = self._step(sample)
         if self._look is not None:
             self._look.take_in(sample)
@@ -262,13 +264,14 @@ class OnlineFilter:
         return estimate
 
     def _step(self, sample: ChainStep) -> Estimate:
-        position_m, identity, length_m, time_s, behind, elapsed_s = sample
+        position_m, identity, length_m, time_s, behind, elapsed_s, line = sample
         steps, periods = (1, 1.0) if elapsed_s is None else steps_between(elapsed_s, self.period_s)
         for left in range(steps - 1, 0, -1):
             before_s, nowhere = time_s - left * periods * self.period_s, [math.nan] * len(position_m)
             rear = self._rear((math.nan, behind[1], behind[2]), before_s, periods)
-            self.kalman.step(nowhere, identity, length_m, rear, before_s, periods)
-        return self.kalman.step(position_m, identity, length_m, self._rear(behind, time_s, periods), time_s, periods)
+            self.kalman.step(nowhere, identity, length_m, (*rear, *line), before_s, periods)
+        around = *self._rear(behind, time_s, periods), *line
+        return self.kalman.step(position_m, identity, length_m, around, time_s, periods)
 
     def _conclude(self, look: FirstLook) -> Estimate | None:
         """End the first look. If positions are smooth, start anew and take in the samples again."""
@@ -293,7 +296,7 @@ class OnlineFilter:
         if self._behind is None:
             return NO_REAR
         position, number, length = behind
-        estimate = self._behind.kalman.step([position], [number], [length], NO_REAR, time_s, periods)
+        estimate = self._behind.kalman.step([position], [number], [length], NOTHING_AROUND, time_s, periods)
         if math.isnan(estimate.innovation_var):
             return NO_REAR
         return estimate.position_m, estimate.speed, length

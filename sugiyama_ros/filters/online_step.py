@@ -17,9 +17,11 @@ from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.effects.control import is_contaminated
 from sugiyama_ros.effects.shared import contaminated_normal
 from sugiyama_ros.filters.alarm import Alarm, check_style, observe, predict_alarm, reset_alarm, update_alarm
+from sugiyama_ros.filters.chain import AROUND
 from sugiyama_ros.filters.noise import Noises, forget_noises, learn_noises, predict_noises, start_noises, update_noises
 from sugiyama_ros.filters.predict import clear, linearise, linearise_chain, predict
 from sugiyama_ros.filters.state import (
+    LOOKED_AT,
     MOVING,
     STATE,
     Drivers,
@@ -82,7 +84,7 @@ HEADER = 1 + len(Sizes._fields)
 
 
 class _ChainSample(NamedTuple):
-    """What the filter takes in: position and length (M,) [m], identity (M,), rear (3,), and when.
+    """What the filter takes in: position and length (M,) [m], identity (M,), around (7,) as of ``Chain``, and when.
 
     when: (2,) time of the sample [s], and periods since the sample before.
     """
@@ -90,7 +92,7 @@ class _ChainSample(NamedTuple):
     position: Array
     identity: Ints
     length: Array
-    rear: Array
+    around: Array
     when: Array
 
 
@@ -176,7 +178,7 @@ def _stack(memory: Array, at: Ints, count: int, size: int) -> Array:
 @in_python_too
 def _filter_step(memory: Array, at: Ints, sizes: Sizes, settings: Array) -> FilterStep:
     m, a = sizes.vehicles, sizes.adapted
-    n, most = STATE * m + a, 5 + a
+    n, most = STATE * m + a, LOOKED_AT + a
     return FilterStep(
         State(_vector(memory, at, n), _matrix(memory, at, n, n), _integers(memory, at, m)),
         Drivers(
@@ -201,7 +203,7 @@ def _filter_step(memory: Array, at: Ints, sizes: Sizes, settings: Array) -> Filt
             _vector(memory, at, len(ACTIONS)),
         ),
         _vector(memory, at, m),
-        _vector(memory, at, 3),
+        _vector(memory, at, AROUND),
         settings[7],
         _integer_matrix(memory, at, 2 * m, most),
         _matrix(memory, at, m * (3 + most), most),
@@ -259,7 +261,7 @@ def online_arrays(memory: Array) -> Online:
         _vector(memory, at, m),
         _integers(memory, at, m),
         _vector(memory, at, m),
-        _vector(memory, at, 3),
+        _vector(memory, at, AROUND),
         _vector(memory, at, 2),
     )
     result, settings = _vector(memory, at, RESULTS + 9), _vector(memory, at, 8)
@@ -504,10 +506,10 @@ def _linearise(online: Online) -> float:
     sample, now, time_s = online.sample, online.step, online.sample.when[0]
     for m in range(len(sample.length)):
         now.length[m] = sample.length[m]
-    for k in range(len(sample.rear)):
-        now.rear[k] = sample.rear[k]
+    for k in range(len(sample.around)):
+        now.around[k] = sample.around[k]
     online.settings[7] = time_s
-    known = now.state, now.drivers, now.scene, now.out, now.batch, now.length, now.rear
+    known = now.state, now.drivers, now.scene, now.out, now.batch, now.length, now.around
     overwritten = now.places, now.root, now.points, now.chosen, now.slope, now.held_slope
     mean_action: float = linearise_chain(FilterStep(*known, time_s, *overwritten))
     return mean_action

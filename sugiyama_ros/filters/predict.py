@@ -30,7 +30,7 @@ from sugiyama_ros.effects.control import (
     expect_change,
     feels_accelerations,
     has_components,
-    law_acceleration,
+    law_action,
     looks_back,
     noise_factor,
     perceive,
@@ -39,7 +39,7 @@ from sugiyama_ros.effects.control import (
     seeks,
     sees_as_it_is,
 )
-from sugiyama_ros.effects.effect import Seen
+from sugiyama_ros.effects.effect import Seen, with_motion
 from sugiyama_ros.filters.state import (
     MOVING,
     STATE,
@@ -94,7 +94,7 @@ def _aim_driver(m: int, step: FilterStep, free: int) -> int:
     places, work, _, _ = _cubature_of(m, step)
     recalled = recall(m, state, drivers, step.scene.period_s)
     view = _view_of(m, state, drivers)
-    size = _look(m, view, recalled, len(known), len(adapted), places)
+    size = _look(m, view, recalled, len(known), len(adapted), _has_line(m, step), places)
     step.points[m, 0], step.points[m, 1] = size, free
     cholesky(state.covariance, places, size, work)
     centre = size
@@ -138,13 +138,19 @@ def _view_of(m: int, state: State, drivers: Drivers) -> int:
 
 
 @kernel(allocates=False)
-def _look(m: int, view: int, recalled: int, vehicles: int, adapted: int, places: Ints) -> int:
+def _has_line(m: int, step: FilterStep) -> bool:
+    """Whether driver m comes to a line before which they may have to wait."""
+    return m == 0 and not math.isnan(step.around[3])
+
+
+@kernel(allocates=False)
+def _look(m: int, view: int, recalled: int, vehicles: int, adapted: int, has_line: bool, places: Ints) -> int:
     """Fill in what the action of driver m depends on, and return the number of these quantities.
 
     Each is an entry of the state less another one. places: (2, .), the entry to add and the entry to take off, or -1:
     of the gap (without lengths) and both speeds, or of the own speed alone. _FEELING adds the noises of both, which are
     part of the accelerations. _RECALLING, from entry ``recalled`` on, means the gap of then, the own speed of now and
-    both speeds of then. Then follow the logarithms of the adapted parameters.
+    both speeds of then. A line adds the own position. Then follow the logarithms of the adapted parameters.
     """
     x, v = STATE * m, STATE * m + 1
     places[1] = -1
@@ -159,6 +165,9 @@ def _look(m: int, view: int, recalled: int, vehicles: int, adapted: int, places:
         places[0, 0], places[0, 1], places[0, 2], places[1, 0] = x + STATE, v, v + STATE, x
         if view == _FEELING:
             places[0, 3], places[0, 4] = x + 2, x + STATE + 2
+    if has_line:
+        places[0, seen] = x
+        seen += 1
     for k in range(adapted):
         places[0, seen + k] = STATE * vehicles + k
     return seen + adapted
@@ -213,7 +222,7 @@ def look_around(work: Array, size: int, point: int) -> None:
 def _surroundings(m: int, step: FilterStep) -> Seen:
     """Return what driver m of a chain sees at the mean of the state."""
     mean, known, scene, parameters = step.state.mean, step.state.known, step.scene, step.drivers.parameters
-    length, rear = step.length, step.rear
+    length, around = step.length, step.around
     last = len(known) - 1
     x = STATE * m
     gap, leader_speed, leader_acceleration = np.inf, 0.0, 0.0
@@ -230,11 +239,15 @@ def _surroundings(m: int, step: FilterStep) -> Seen:
         if known[m - 1] == MOVING:
             rear_gap = mean[x] - mean[x - STATE] - 0.5 * (length[m] + length[m - 1])
             rear_speed = mean[x - STATE + 1]
-    elif not math.isnan(rear[0]):
-        headway = mean[x] - rear[0]
+    elif not math.isnan(around[0]):
+        headway = mean[x] - around[0]
         if scene.circumference_m > 0.0:
             headway -= scene.circumference_m * math.floor(headway / scene.circumference_m)
-        rear_gap, rear_speed = headway - 0.5 * (length[m] + rear[2]), rear[1]
+        rear_gap, rear_speed = headway - 0.5 * (length[m] + around[2]), around[1]
+    line_gap, arrive_s, clear_s = np.inf, np.inf, np.inf
+    curvature = around[6] if m == 0 and not math.isnan(around[6]) else 0.0
+    if _has_line(m, step):
+        line_gap, arrive_s, clear_s = around[3] - mean[x] - 0.5 * length[m], around[4], around[5]
     acceleration = mean[x + 3] + parameters[m, RHO] * mean[x + 2]
     # where the chain holds no past: as far as the present accelerations tell
     ago = looks_back(parameters[m])
@@ -254,6 +267,10 @@ def _surroundings(m: int, step: FilterStep) -> Seen:
         past_gap=gap - ago * (leader_speed - mean[x + 1]),
         past_speed=mean[x + 1] - ago * acceleration,
         past_leader_speed=leader_speed - ago * leader_acceleration,
+        line_gap=line_gap,
+        arrive_s=arrive_s,
+        clear_s=clear_s,
+        curvature=curvature,
     )
 
 
@@ -278,23 +295,12 @@ def _seen_at(here: Seen, work: Array, m: int, size: int, view: int, step: Filter
         leader_rho = step.scene.last_rho if is_last(m + 1, known) else parameters[m + 1, RHO]
         acceleration += parameters[m, RHO] * (work[look, 3] - work[centre, 3])
         leader_acceleration += leader_rho * (work[look, 4] - work[centre, 4])
-    return Seen(
-        gap=gap,
-        speed=speed,
-        leader_speed=leader_speed,
-        position=here.position,
-        time=here.time,
-        circumference=here.circumference,
-        acceleration=acceleration,
-        leader_acceleration=leader_acceleration,
-        second_gap=here.second_gap,
-        second_speed=here.second_speed,
-        rear_gap=here.rear_gap,
-        rear_speed=here.rear_speed,
-        past_gap=past_gap,
-        past_speed=past_speed,
-        past_leader_speed=past_leader_speed,
-    )
+    line_gap = here.line_gap
+    if _has_line(m, step):
+        own = size - len(step.drivers.adapted) - 1
+        line_gap -= work[look, own] - work[centre, own]
+    past = past_gap, past_speed, past_leader_speed
+    return with_motion(here, (gap, speed, leader_speed), (acceleration, leader_acceleration), past, line_gap)
 
 
 # Act: from the mean actions at the points to the expected action.
@@ -306,7 +312,7 @@ def add_all_components(step: FilterStep) -> bool:
     found = False
     for m in range(len(step.state.known) - 1):
         moves = step.state.known[m] == MOVING and not is_last(m, step.state.known)
-        if moves and has_components(step.drivers.parameters[m]):
+        if moves and (has_components(step.drivers.parameters[m]) or _has_line(m, step)):
             _add_components(m, step)
             found = True
     return found
@@ -315,8 +321,7 @@ def add_all_components(step: FilterStep) -> bool:
 @kernel(allocates=False)
 def _add_components(m: int, step: FilterStep) -> None:
     """Add what effects add to the utilities of driver m, at the points in the batch."""
-    driver, batch = step.drivers.parameters[m], step.batch
-    _, work, size, first = _cubature_of(m, step)
+    driver, batch, (_, work, size, first) = step.drivers.parameters[m], step.batch, _cubature_of(m, step)
     view = _view_of(m, step.state, step.drivers)
     here, shared = _surroundings(m, step), (batch.grid.actions, step.scene.period_s, step.scene.horizon, driver)
     for point in range(2 * size):
@@ -384,7 +389,7 @@ def _choose(m: int, step: FilterStep) -> None:
         seen = _seen_at(here, work, m, size, view, step)
         if by_law:
             perceived = perceive(seen, driver)
-            action = law_acceleration(perceived.gap, perceived.speed, perceived.leader_speed, driver)
+            action = law_action(perceived, driver)
         else:
             action = mean_in(step.batch, first + point)
         held, pushed = act(action, seen, driver)

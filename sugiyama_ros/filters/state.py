@@ -18,6 +18,7 @@ from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.batch import Batch, batch_for
 from sugiyama_ros.driver.parameters import REFERENCE_HORIZON, horizon_at
 from sugiyama_ros.effects.control import LOOKING_BACK, looks_back
+from sugiyama_ros.filters.chain import AROUND
 from sugiyama_ros.jit import kernel
 
 #: Acceleration of the last vehicle of a chain: correlation over the reference period and std [m/s^2] of its shock.
@@ -27,6 +28,8 @@ from sugiyama_ros.jit import kernel
 LAST_RHO, LAST_SHOCK_STD = 0.9, 0.5
 #: A vehicle is known by nothing, by one position, or by position and speed.
 UNKNOWN, POSITION, MOVING = range(3)
+#: Quantities on which an action may depend: gap, speeds, and accelerations or the past; position, before a line.
+LOOKED_AT = 6
 #: Entries of the state for each vehicle: position, speed, noise, held acceleration.
 STATE = 4
 # What a driver recalls: gap, own speed, leader's speed.
@@ -113,12 +116,12 @@ class Linearised(NamedTuple):
 class FilterStep(NamedTuple):
     """All that one step of a chain's filter reads and fills: what is known, and the arrays that it overwrites.
 
-    length: (M,) of the vehicles [m]; rear: (3,) position [m], speed [m/s] and length [m] of the vehicle behind, NaN
-    where there is none; time_s: time of the recording [s]. Overwritten: places: two rows for each driver, what an
-    action depends on, (2 (M - 1), 5 + A); root: 8 + A rows for each driver, root of its covariance, and rows below,
-    (.., 5 + A); points: (M - 1, 2), for each driver the number of quantities that the action depends on, and the first
-    slot of the batch; chosen: (2, 2 (5 + A)), what one driver holds at each point, and the same with what the
-    environment adds; slope, held_slope: (N,), regressions of the action and of the held acceleration on the state.
+    length: (M,) of the vehicles [m]; around: (AROUND,) what else the driver sees, as of ``Chain``; time_s: time of the
+    recording [s]. Overwritten: places: two rows for each driver, what an action depends on, (2 (M - 1), 6 + A); root: 9
+    + A rows for each driver, root of its covariance, and rows below, (.., 6 + A); points: (M - 1, 2), for each driver
+    the number of quantities that the action depends on, and the first slot of the batch; chosen: (2, 2 (6 + A)), what
+    one driver holds at each point, and the same with what the environment adds; slope, held_slope: (N,), regressions of
+    the action and of the held acceleration on the state.
     """
 
     state: State
@@ -127,7 +130,7 @@ class FilterStep(NamedTuple):
     out: Linearised
     batch: Batch
     length: Array
-    rear: Array
+    around: Array
     time_s: float
     places: Ints
     root: Array
@@ -140,7 +143,7 @@ class FilterStep(NamedTuple):
 @kernel
 def points_of(vehicles: int, adapted: int) -> int:
     """Return the largest number of points at which the drivers of a chain of M vehicles consider their actions."""
-    return 2 * (vehicles - 1) * (5 + adapted)
+    return 2 * (vehicles - 1) * (LOOKED_AT + adapted)
 
 
 def step_for(state: State, drivers: Drivers, length: Array, scene: Scene, actions: Array) -> FilterStep:
@@ -148,7 +151,7 @@ def step_for(state: State, drivers: Drivers, length: Array, scene: Scene, action
 
     length: (M,) of the vehicles [m]; actions: (K,) [m/s^2].
     """
-    vehicles, n, most = len(state.known), len(state.mean), 5 + len(drivers.adapted)
+    vehicles, n, most = len(state.known), len(state.mean), LOOKED_AT + len(drivers.adapted)
     square, counts, columns = (n, n), np.zeros(n, np.int64), np.zeros((n, n), np.int64)
     return FilterStep(
         state,
@@ -157,7 +160,7 @@ def step_for(state: State, drivers: Drivers, length: Array, scene: Scene, action
         Linearised(np.zeros(n), np.zeros(square), np.zeros(square), columns, counts, np.arange(n)),
         batch_for(points_of(vehicles, len(drivers.adapted)), actions, scene.period_s, False),
         length,
-        rear=np.full(3, np.nan),
+        around=np.full(AROUND, np.nan),
         time_s=0.0,
         places=np.zeros((2 * vehicles, most), np.int64),
         root=np.zeros((vehicles * (3 + most), most)),

@@ -214,8 +214,11 @@ def followers(tracks: Tracks, decisions: int | None = None) -> Followers:
 
 
 def following_s(own: Sequence[Drive]) -> float:
-    """Return the time [s] of the scored samples in which somebody is ahead of a driver."""
-    return sum(float((d.scored & (d.chain.identity[:, 1] >= 0)).sum()) * d.chain.period_s for d in own)
+    """Return the time [s] of the scored samples in which somebody, or a line, is ahead of a driver."""
+    return sum(
+        float((d.scored & ((d.chain.identity[:, 1] >= 0) | np.isfinite(d.chain.around[:, 3]))).sum()) * d.chain.period_s
+        for d in own
+    )
 
 
 def evenness_on(every: Sequence[Drive], apart: int = 1) -> Evenness:
@@ -310,7 +313,7 @@ def _chain(own: Sequence[Drive], samples: int, parts: int) -> Chain:
         position_m=_joined([d.chain.position_m[:, :vehicles] for d in own], samples, np.nan, parts),
         identity=_joined([one[:, :vehicles] for one in identity], samples, -1, parts),
         length_m=_joined([d.chain.length_m[:, :vehicles] for d in own], samples, 0.0, parts),
-        rear=np.full((samples, 3), np.nan),
+        around=_joined([d.chain.around for d in own], samples, np.nan, parts),
         period_s=own[0].chain.period_s,
         start_s=own[0].chain.start_s,
         circumference_m=own[0].chain.circumference_m,

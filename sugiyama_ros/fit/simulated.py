@@ -67,7 +67,9 @@ def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generat
 def _behind_measured(data: Recorded, model: Model, states: Array, rng: np.random.Generator) -> Recorded:
     """Tracks on which each driver drives anew behind the measured vehicles ahead."""
     around, moved = data.vicinity, between_measurements(data, states)
-    recorded = RecordedTraffic(moved, around.leader, around.length_m, data.segment, around.road, around.period_s)
+    recorded = RecordedTraffic(
+        moved, around.leader, around.length_m, data.segment, data.lines, around.road, around.period_s
+    )
     simulated = driven_anew(data, *drive_behind(recorded, at_period(model.rows, around.period_s), rng))
     new, old = (np.diff(one.segment, axis=1, prepend=one.segment[:, :1]) != 0 for one in (simulated, data))
     return _without_collisions(simulated, new & ~old)

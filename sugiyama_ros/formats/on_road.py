@@ -1,19 +1,24 @@
 """Vehicles in the plane become vehicles on the lanes of a road."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from sugiyama_ros.formats.columns import Rows, text_of
 from sugiyama_ros.roads.network import Network
 from sugiyama_ros.roads.routes import routes_of
-from sugiyama_ros.trajectories.about import About
+from sugiyama_ros.roads.scene import OnNetwork, scene
+from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M, About, Reference
+from sugiyama_ros.trajectories.assemble import TO_CENTRE
 from sugiyama_ros.trajectories.labels import Labels, joined, labels
+from sugiyama_ros.trajectories.tracks import NOBODY
 
 
-def on_road(columns: Rows, network: Network, about: About) -> tuple[Rows, About]:
-    """Put vehicles on the lanes of a road: columns of tracks, and where they come from.
+def on_road(columns: Rows, network: Network, about: About, reference: Reference = "centre") -> tuple[Rows, About]:
+    """Put vehicles on the lanes of a road: columns of tracks with what drivers see, and where they come from.
 
     columns: (R,), among them ``x_m``, ``y_m`` [m] and perhaps ``heading_m`` [rad], ``x_speed`` and ``y_speed`` [m/s];
-    the road of a row is its route, and its lane is the lane.
+    the road of a row is its route, and its lane is the lane; reference: what the places are of.
     """
     vehicle = text_of(columns, "vehicle")
     recording = columns.get("recording")
@@ -26,7 +31,23 @@ def on_road(columns: Rows, network: Network, about: About) -> tuple[Rows, About]
     names = [lane.name for lane in network.lanes]
     ways = [" ".join(names[k] for k in path.lanes) for path in found.paths]
     columns |= {"road": labels(found.route.astype(np.int32), ways), "lane": labels(found.lane.astype(np.int32), names)}
-    return columns | {"s_m": found.s_m, "d_m": found.d_m}, about.noting(*found.notes)
+    length = np.asarray(columns.setdefault("length_m", np.full(len(vehicle), DEFAULT_LENGTH_M)))
+    ahead, seen = scene(
+        network,
+        found.paths,
+        OnNetwork(
+            vehicle=each.code.astype(np.int64),
+            route=found.route,
+            time_s=np.asarray(columns["time_s"]),
+            place=found.s_m + TO_CENTRE[reference] * length,
+            length=length,
+            recording=recording.code.astype(np.int64) if isinstance(recording, Labels) else np.zeros(len(length), int),
+        ),
+    )
+    leader = np.where(ahead >= 0, vehicle.code[ahead], np.where(found.route >= 0, len(vehicle.text), -1))
+    columns["leader"] = labels(leader.astype(np.int32), [*vehicle.text, NOBODY])
+    about = replace(about, leaders="given").noting(*found.notes)
+    return columns | {"s_m": found.s_m, "d_m": found.d_m, **seen}, about
 
 
 def without_pedestrians(columns: Rows, about: About) -> tuple[Rows, About]:

@@ -98,7 +98,7 @@ def _on_road(path: Path, choices: Choices, network: Network) -> Tracks:
         columns["length_m"], note = _lengths(columns, None)
         about = about.noting(note)
     columns = {name: columns[name] for name in columns if name not in ("lane_name", "edge", "leader", "gap_m")}
-    return put_together(*on_road(columns, network, about), choices, reference="front")
+    return put_together(*on_road(columns, network, about, "front"), choices, reference="front")
 
 
 def _edges(lane: Labels | Array | None, edge: Labels | Array | None, path: Path) -> tuple[Labels, Labels]:

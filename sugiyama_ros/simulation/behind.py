@@ -19,13 +19,15 @@ class RecordedTraffic(NamedTuple):
 
     state: (T, V, 4), position [m], speed [m/s], acceleration noise and held acceleration [m/s^2]; NaN where unknown;
     leader: (T, V), column of the vehicle ahead; -1 where there is none; length_m: (T, V), lengths [m]; segment: (N, T),
-    number of the unbroken part of each driver's record; road: the road; period_s: time [s] between two samples.
+    number of the unbroken part of each driver's record; line: (T, N, 4), of ``Order``; road: the road; period_s: time
+    [s] between two samples.
     """
 
     state: Array
     leader: Ints
     length_m: Array
     segment: Ints
+    line: Array
     road: Road
     period_s: float
 
@@ -100,7 +102,9 @@ def _decide(own: Array, rows: Array, recorded: RecordedTraffic, k: int, setting:
     if setting.circumference > 0.0:
         headway = position[leader] - position
         turn = np.where(leader >= 0, setting.circumference * np.floor(headway / setting.circumference), 0.0)
-    order = Order(leader, turn, recorded.length_m[k])
+    line: Array = np.full((len(leader), 4), np.nan)
+    line[:drivers] = recorded.line[k]
+    order = Order(leader, turn, recorded.length_m[k], line)
     traffic = begin(position, speed, held, held + noise, rows, setting.period)
     for ago in range(min(len(traffic.past), k)):
         known = np.isfinite(past[k - 1 - ago])

@@ -48,12 +48,14 @@ class Order(NamedTuple):
 
     leader: (N,), number of each vehicle's leader; -1 without a leader; turn: (N,), whole turns of a ring [m]; the
     headway is the leader's position minus the vehicle's position minus ``turn``; length: (N,), lengths [m] of the
-    vehicles.
+    vehicles; line: (N, 4), position [m] of the line ahead of each vehicle, times [s] until who goes first reaches the
+    place behind it and has left it, and curvature [1/m]; NaN where there is none.
     """
 
     leader: Ints
     turn: Array
     length: Array
+    line: Array
 
 
 class Setting(NamedTuple):
@@ -163,6 +165,12 @@ def drive(
             if leader[i] >= 0:
                 other, past_leader_speed = _then(leader[i], ago, traffic)
                 past_gap = gap + (other - traffic.position[leader[i]]) - (own - position[i])
+        line_gap, arrive_s, clear_s, curvature = np.inf, np.inf, np.inf, 0.0
+        if not math.isnan(order.line[i, 0]):
+            line_gap = order.line[i, 0] - position[i] - 0.5 * order.length[i]
+            arrive_s, clear_s = order.line[i, 1], order.line[i, 2]
+        if not math.isnan(order.line[i, 3]):
+            curvature = order.line[i, 3]
         seen = Seen(
             gap=gap,
             speed=speed[i],
@@ -179,6 +187,10 @@ def drive(
             past_gap=past_gap,
             past_speed=past_speed,
             past_leader_speed=past_leader_speed,
+            line_gap=line_gap,
+            arrive_s=arrive_s,
+            clear_s=clear_s,
+            curvature=curvature,
         )
         meant, pushed[i] = intend(seen, rows[i], scratch, setting.period, setting.horizon)
         out[i] = carry_out(meant, traffic.held[i], rows[i], setting.period)

@@ -97,7 +97,7 @@ def _neighbourhood(i: int, order: Order) -> tuple[Ints, Order]:
         if leader[chosen[k]] >= 0:
             ahead[k] = place[leader[chosen[k]]]
     numbers = chosen[:count]
-    return numbers, Order(ahead, order.turn[numbers], order.length[numbers])
+    return numbers, Order(ahead, order.turn[numbers], order.length[numbers], order.line[numbers])
 
 
 @kernel
@@ -109,12 +109,14 @@ def run_single(
     actions: Array,
     time: float,
     setting: Setting,
+    lines: Array,
     shock: Array,
     out: Array,
 ) -> None:
     """Let each of some vehicles drive by the model among neighbours who drive as they were recorded.
 
-    who: (W,), numbers of the vehicles, whose columns of ``out`` are filled; other arguments as for ``run_coupled``.
+    who: (W,), numbers of the vehicles, whose columns of ``out`` are filled; lines: (steps + 1, D, 4), of ``Order``, at
+    each period, of the D first vehicles, among whom are those of ``who``; other arguments as for ``run_coupled``.
     """
     for i in who:
         near, order_near = _neighbourhood(i, order)
@@ -129,6 +131,7 @@ def run_single(
             accelerations = bs + recorded[k, near, 2]
             xs[0], vs[0], bs[0], accelerations[0] = x, v, b, a
             traffic = Traffic(xs, vs, bs, accelerations, past)
+            order_near.line[0] = lines[k, i]
             drive(traffic, order_near, rows_near, actions, now, setting, held, pushed)
             remember(traffic)
             a = held[0] + pushed[0] + n

@@ -92,6 +92,7 @@ class Simulator:
         self.leader: Ints = np.arange(1, vehicles + 1)
         self.leader[-1] = 0 if road.is_ring and vehicles > 1 else -1
         self._turn = np.zeros(vehicles)
+        self.line: Array = np.full((vehicles, 4), np.nan)
         self._turn[-1] = -road.circumference_m
         self.position_m = position_m.astype(np.float64).copy()
         self.speed = np.zeros(vehicles) if speed is None else speed.astype(np.float64).copy()
@@ -122,7 +123,7 @@ class Simulator:
 
     @property
     def _order(self) -> Order:
-        return Order(self.leader, self._turn, self.length_m)
+        return Order(self.leader, self._turn, self.length_m, self.line)
 
     def change(self, drivers: Array) -> None:
         """Let the drivers drive otherwise from the next period on; rows (N, width) at the reference period.

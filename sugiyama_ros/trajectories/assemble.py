@@ -21,7 +21,7 @@ from sugiyama_ros.trajectories.leaders import (
     given_leaders,
 )
 from sugiyama_ros.trajectories.speeds import MOST_OFF, UNITS, Motion, difference
-from sugiyama_ros.trajectories.tracks import NOBODY, TEXTS, UNKNOWN, Tracks, starts
+from sugiyama_ros.trajectories.tracks import LINE, NOBODY, TEXTS, UNKNOWN, Tracks, starts
 
 Column: TypeAlias = Labels | ArrayLike
 Columns: TypeAlias = Mapping[str, Column]
@@ -44,7 +44,7 @@ AGREES = "the next vehicle ahead is the given leader"
 # What a text of a column of flags says.
 _SAYS = {"1": 1.0, "true": 1.0, "yes": 1.0, "0": 0.0, "false": 0.0, "no": 0.0}
 #: Way [vehicle lengths] from the point of reference to the centre.
-_TO_CENTRE = {"front": -0.5, "centre": 0.0, "rear": 0.5}
+TO_CENTRE = {"front": -0.5, "centre": 0.0, "rear": 0.5}
 
 
 def assemble(
@@ -53,9 +53,9 @@ def assemble(
     """Make tracks of columns.
 
     columns: (R,), ``vehicle``, ``time_s`` [s] and ``s_m`` [m]; perhaps ``recording``, ``road``, ``lane``, ``class``,
-    ``driver``, ``leader``, ``d_m``, ``length_m``, ``width_m`` [m], ``measured`` and ``controlled``; rows may stand in
-    any order; positions are compared with ``speed`` [m/s] and, if its unit is not known, ``some_speed``, where they are
-    given. Raises InputError.
+    ``driver``, ``leader``, ``d_m``, ``length_m``, ``width_m`` [m], the columns of `LINE`, ``leader_shift_m`` [m],
+    ``measured`` and ``controlled``; rows may stand in any order; positions are compared with ``speed`` [m/s] and, if
+    its unit is not known, ``some_speed``, where they are given. Raises InputError.
     """
     table = _table(columns, about or About())
     for step in (_known, _sorted, _once, *([_in_usual_units] if checked else []), _lives):
@@ -69,7 +69,7 @@ def assemble(
         recording=text["recording"],
         vehicle=text["vehicle"],
         time_s=number["time_s"],
-        s_m=number["s_m"] + _TO_CENTRE[reference] * number["length_m"],
+        s_m=number["s_m"] + TO_CENTRE[reference] * number["length_m"],
         leader_row=np.full(len(run), UNKNOWN, dtype=np.int64),
         start=starts(run),
         length_m=number["length_m"],
@@ -80,6 +80,7 @@ def assemble(
         driver=text.get("driver"),
         d_m=number.get("d_m"),
         width_m=number.get("width_m"),
+        **{name: number.get(name) for name in (*LINE, "leader_shift_m")},
         measured=number["measured"] != 0.0 if "measured" in number else None,
         controlled=_in_whole_runs(number["controlled"] == 1.0, run) if "controlled" in number else None,
     )
@@ -97,7 +98,7 @@ def led(tracks: Tracks, named: Labels | None, compared: bool = True) -> Tracks:
         return replace(tracks, leader_row=find_leaders(tracks))
     given = given_leaders(tracks, named)
     whose = tracks.about.leaders
-    if whose == "given" and not compared:
+    if whose == "given" and (not compared or tracks.leader_shift_m is not None):
         return replace(tracks, leader_row=given)
     found = find_leaders(tracks)
     share = agreement(found, given)

@@ -20,7 +20,7 @@ from sugiyama_ros.trajectories.jumps import jumps_noted
 from sugiyama_ros.trajectories.labels import Labels, numbered
 from sugiyama_ros.trajectories.leaders import LEAST_AGREEMENT, agreement
 from sugiyama_ros.trajectories.time_base import on_time_base, period_of, regular_time_base
-from sugiyama_ros.trajectories.tracks import UNKNOWN, Tracks
+from sugiyama_ros.trajectories.tracks import LINE, UNKNOWN, Tracks
 
 #: Largest number of samples, including missing samples: vehicles times time steps.
 MAX_SAMPLES = 20_000_000
@@ -262,6 +262,8 @@ def road_of_drivers(tracks: Tracks) -> DenseTracks | None:
 
     Raises InputError as ``whole_road``.
     """
+    if any(tracks.column(name) is not None for name in (*LINE, "leader_shift_m")):
+        return None  # drivers come from several ways, or see more than vehicles
     road = whole_road(tracks)
     return None if road is None or road.controlled else road
 

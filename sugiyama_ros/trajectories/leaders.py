@@ -160,7 +160,8 @@ def agreement(found: Ints, given: Ints) -> float:
 def gaps(tracks: Tracks) -> Array:
     """Gaps [m], bumper to bumper, shape (R,); NaN where there is no leader."""
     ahead = np.maximum(tracks.leader_row, 0)
-    headway = Road(tracks.about.ring_m).difference(tracks.s_m[ahead], tracks.s_m)
+    shift = 0.0 if tracks.leader_shift_m is None else np.nan_to_num(tracks.leader_shift_m)
+    headway = Road(tracks.about.ring_m).difference(tracks.s_m[ahead] + shift, tracks.s_m)
     if tracks.about.ring_m > 0.0:
         headway = np.where(headway < -tracks.length_m, headway + tracks.about.ring_m, headway)
     gap = headway - 0.5 * (tracks.length_m[ahead] + tracks.length_m)

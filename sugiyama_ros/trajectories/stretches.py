@@ -11,13 +11,15 @@ from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.trajectories.labels import Labels
 from sugiyama_ros.trajectories.leaders import RowIndex, ticks
 from sugiyama_ros.trajectories.time_base import LONGEST_HOLE_S, on_time_base, period_of, pieces
-from sugiyama_ros.trajectories.tracks import FREE, UNKNOWN, Tracks
+from sugiyama_ros.trajectories.tracks import FREE, LINE, UNKNOWN, Tracks
 
 #: Shortest stretch [s]: a few times as long as the acceleration noise lasts.
 SHORTEST_STRETCH_S = 5.0
 # Leaders and lanes that last for less than `_FLICKER_S` [s] are ignored; samples within `_AROUND_CHANGE_S` [s] of a
 # driver's own lane change are not scored.
 _FLICKER_S, _AROUND_CHANGE_S = 1.0, 2.0
+# Speed [m/s] below which a vehicle stands, and gap [m] up to which vehicles stand in a queue.
+_STANDING, _QUEUE_M = 0.3, 10.0
 # Part of a stretch in which the leader's leader must be known, for the rest to be left out.
 _MOST = 0.8
 
@@ -32,7 +34,8 @@ class Stretch:
     leader's leader is known throughout, else 2: then nobody knows what the leader reacts to; identity: (T, M), number
     of each vehicle's run in the tracks; -1 where nobody is ahead; length_m: (T, M), lengths [m]; 0 where nobody is
     ahead; behind: (T, 3), run, position [m] and length [m] of the vehicle behind; -1 and NaN where there is none in the
-    tracks; scored: (T,), whether the sample says how the driver follows: False around the driver's own lane changes.
+    tracks; line: (T, 4), the columns of `LINE`, NaN where there is none; scored: (T,), whether the sample says how the
+    driver follows: False around the driver's own lane changes.
     """
 
     recording: str
@@ -46,6 +49,7 @@ class Stretch:
     identity: Ints
     length_m: Array
     behind: Array
+    line: Array
     scored: Mask
 
     @property
@@ -136,6 +140,9 @@ class _Cutter:
         row = np.stack([one for _, one in columns], axis=1)
         identity = np.stack([one for one, _ in columns], axis=1)
         length = tracks.length_m[tracks.start[np.maximum(identity, 0)]]
+        position = np.where(row >= 0, tracks.s_m[row], np.nan)
+        for k in range(1, row.shape[1]):  # along the driver's own way
+            position[:, k:] += self._shift(row[:, k - 1], identity[:, k])[:, None]
         first = int(tracks.start[run])
         return Stretch(
             recording=tracks.recording.at(first),
@@ -145,24 +152,65 @@ class _Cutter:
             start_s=float(tracks.time_s[own[0]]) if own[0] >= 0 else float(tick[0]) * 1e-3 + float(tracks.time_s.min()),
             period_s=self._period_s,
             ring_m=tracks.about.ring_m,
-            position_m=np.where(row >= 0, tracks.s_m[row], np.nan),
+            position_m=position,
             identity=np.maximum(identity, -1),
             length_m=np.where(identity >= 0, length, 0.0),
             behind=self._behind(own),
-            scored=self._scored(own),
+            line=self._line(own),
+            scored=self._scored(own) & ~self._held(own, position, length),
         )
 
     def _behind(self, own: Ints) -> Array:
         """Run, position [m] and length [m] of the vehicle behind each row."""
         row = np.where(own >= 0, self._follower[own], -1)
-        found = np.column_stack([self._run[row], self._tracks.s_m[row], self._tracks.length_m[row]]).astype(np.float64)
+        s = self._tracks.s_m[row] - self._shift(row, np.full(len(own), self._run[own[own >= 0][0]]))
+        found = np.column_stack([self._run[row], s, self._tracks.length_m[row]]).astype(np.float64)
         found[row < 0] = (-1.0, np.nan, np.nan)
         return found
+
+    def _shift(self, row: Ints, leader: Ints) -> Array:
+        """What to add to the positions of leaders (T,), given by their runs, of rows (T,) [m]; NaN for nobody.
+
+        Where the row has another leader for a moment, it is what it is at the nearest time at which it has this one.
+        """
+        if self._tracks.leader_shift_m is None:
+            return np.zeros(len(row))
+        ahead = np.where(row >= 0, self._tracks.leader_row[row], -1)
+        known = (ahead >= 0) & (self._run[ahead] == leader) & (leader >= 0)
+        shift, time = np.full(len(row), np.nan), np.arange(len(row))
+        shift[known] = self._tracks.leader_shift_m[row[known]]
+        for run in np.unique(leader[~known & (leader >= 0)]).tolist():
+            of = np.flatnonzero(known & (leader == run))
+            wanted = ~known & (leader == run)
+            if len(of):
+                nearest = of[np.argmin(np.abs(time[wanted][:, None] - of), axis=1)]
+                shift[wanted] = shift[nearest]
+        return shift
+
+    def _line(self, own: Ints) -> Array:
+        """The columns of the road ahead in each row."""
+        columns = [getattr(self._tracks, name) for name in LINE]
+        missing = np.full(len(own), np.nan)
+        return np.column_stack([missing if c is None else np.where(own >= 0, c[own], np.nan) for c in columns])
+
+    def _held(self, own: Ints, position: Array, length: Array) -> Mask:
+        """Whether the driver has stood for a second behind a vehicle that stands, or before a line that is not free.
+
+        A car with its brake on does not move, not even at random. It is left out where drivers come to lines, and wait
+        for long. What decides it is known before the sample, so that the others stay as likely as they were.
+        """
+        if self._tracks.line_m is None or self._tracks.clear_s is None:
+            return np.zeros(len(own), dtype=bool)
+        stands = [_stands(column, self._period_s) for column in position[:, :2].T]
+        near = position[:, 1] - position[:, 0] - 0.5 * (length[:, 0] + length[:, 1]) < _QUEUE_M
+        clear = np.where(own >= 0, self._tracks.clear_s[own], np.nan)
+        held = stands[0] & ((stands[1] & near) | (clear > 0.0))
+        return np.concatenate(([False], held[:-1]))
 
     def _scored(self, own: Ints) -> Mask:
         """Whether each sample lies far enough from the driver's own lane changes."""
         lane = self._tracks.lane
-        if lane is None:
+        if lane is None or self._tracks.leader_shift_m is not None:  # a lane then is a piece of the way
             return np.ones(len(own), dtype=bool)
         code = _without_flicker(_held(lane.code[own].astype(np.int64), own < 0), self._flicker)
         near = np.zeros(len(own), dtype=bool)
@@ -170,6 +218,14 @@ class _Cutter:
         for change in (np.flatnonzero(np.diff(code) != 0) + 1).tolist():
             near[max(0, change - around) : change + around] = True
         return ~near
+
+
+def _stands(position: Array, period_s: float) -> Mask:
+    """Whether a vehicle at positions (T,) [m] has been slower than `_STANDING` over the last second."""
+    back = max(1, round(1.0 / period_s))
+    way = np.full(len(position), np.inf)
+    way[back:] = np.abs(position[back:] - position[:-back])
+    return np.asarray(way < _STANDING * period_s * back)
 
 
 def _text(column: Labels | None, row: int) -> str:

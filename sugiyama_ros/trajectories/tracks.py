@@ -23,9 +23,11 @@ if TYPE_CHECKING:
 
 #: Leader of a driver whom nobody is ahead of, and of a driver whose leader is not in the table.
 FREE, UNKNOWN = -1, -2
+#: Names of the columns of the road ahead.
+LINE = ("line_m", "arrive_s", "clear_s", "curvature_per_m")
 #: Names of the columns of text and of numbers, in the order of a file.
 TEXTS = ("recording", "vehicle", "road", "lane", "class", "driver")
-NUMBERS = ("time_s", "s_m", "d_m", "length_m", "width_m")
+NUMBERS = ("time_s", "s_m", "d_m", "length_m", "width_m", *LINE, "leader_shift_m")
 #: Names of the columns that say yes or no.
 FLAGS = ("measured", "controlled")
 _REQUIRED = ("recording", "vehicle", "time_s", "s_m")
@@ -60,6 +62,16 @@ class Tracks(Result):
         Position [m] across the road, and width [m] of the vehicle.
     measured : ndarray of bool, shape (R,), optional
         Whether the row was measured, not filled in.
+    line_m, arrive_s, clear_s : ndarray, shape (R,), optional
+        Position [m] of the next line before which the driver lets others pass, and times [s] until who goes first
+        reaches the place behind the line and until they have left it; NaN where there is no line. The first time is 0
+        while the place is taken or a signal is red, the second is infinite at a red signal, and below 0 after the
+        signal has turned green.
+    curvature_per_m : ndarray, shape (R,), optional
+        Largest curvature [1/m] of the road just ahead.
+    leader_shift_m : ndarray, shape (R,), optional
+        What must be added to the leader's ``s_m`` [m] to get their position along the driver's own way, where drivers
+        come from several ways.
     controlled : ndarray of bool, shape (R,), optional
         Whether a controller drives the vehicle, the same in all rows of a run. Such a vehicle leads drivers, but has
         none.
@@ -90,6 +102,11 @@ class Tracks(Result):
     driver: Labels | None = None
     d_m: Array | None = None
     width_m: Array | None = None
+    line_m: Array | None = None
+    arrive_s: Array | None = None
+    clear_s: Array | None = None
+    curvature_per_m: Array | None = None
+    leader_shift_m: Array | None = None
     measured: Mask | None = None
     controlled: Mask | None = None
 
@@ -144,7 +161,19 @@ class Tracks(Result):
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of the columns that are there, as in files."""
-        optional = ("road", "lane", "d_m", "length_m", "width_m", "class", "driver", "leader", *FLAGS)
+        optional = (
+            "road",
+            "lane",
+            "d_m",
+            "length_m",
+            "width_m",
+            "class",
+            "driver",
+            "leader",
+            *LINE,
+            "leader_shift_m",
+            *FLAGS,
+        )
         return (*_REQUIRED, *(name for name in optional if self.column(name) is not None))
 
     def select(self, rows: Mask) -> "Tracks":

@@ -67,12 +67,20 @@ ACTING = {
     "sensor_eccentricity": {"cosine": 1.5, "sine": 1.0},
     "sensor_distortion": {"cosine_2": 1.0, "sine_2": 0.5, "cosine_3": -0.5, "sine_3": 0.3},
     "uneven_noise": {"cosine": 0.4, "sine": -0.3},
+    "accepted_gap": {"longer": -1.0},
+    "ignored_yield": {"share": 0.9},
+    "blind_sector": {"sight": 5.0},
+    "late_start": {"delay": 1.0},
+    "curve_speed": {"lateral": 1.5},
 }
 #: Effects that draw random numbers of their own, or act on measurements alone.
 CHANCE = ("preference_drift", "preference_drift_walk", "outlier_noise")
 #: Effects by which drivers see another gap than the measured one.
 SEEN = ("gap_offset", "clock_offset")
 NAMES_OF_EFFECTS = list(EFFECTS)
+#: Effects that need lines or curves, which no ring of this file has; `test_junctions` tests them.
+AT_JUNCTIONS = ("accepted_gap", "ignored_yield", "blind_sector", "late_start", "curve_speed")
+ON_A_RING = [name for name in NAMES_OF_EFFECTS if name not in AT_JUNCTIONS]
 DRIVERS, RING_M = 8, 110.0
 
 
@@ -135,12 +143,12 @@ def test_an_effect_is_declared(name):
         assert p.unit
         assert p.description
     assert set(e.switches) <= {p.name for p in e.parameters}
-    for start in e.starts(Extent(0.0, 100.0, 230.0, 0.0, 230.0)):
+    for start in e.starts(Extent(0.0, 100.0, 230.0, 0.0, 230.0, has_lines=True, has_curves=True)):
         assert set(start) == {p.name for p in e.parameters}
         switch_on(np.zeros(ROW.width), name, start)
 
 
-@pytest.mark.parametrize("name", NAMES_OF_EFFECTS)
+@pytest.mark.parametrize("name", ON_A_RING)
 def test_at_zero_strength_the_model_is_the_base_model(name):
     """The models agree bit for bit, whatever the other parameters of the effect are."""
     weak = ROW.with_effects(drivers())
@@ -162,7 +170,7 @@ def test_at_zero_strength_the_model_is_the_base_model(name):
     assert [s.speed for s in first] == [s.speed for s in second]
 
 
-@pytest.mark.parametrize("name", NAMES_OF_EFFECTS)
+@pytest.mark.parametrize("name", ON_A_RING)
 def test_an_effect_acts_and_leaves_the_noise_alone(name):
     base, changed = base_recording(), acting_recording(name)
     if name in SEEN:
@@ -175,7 +183,7 @@ def test_an_effect_acts_and_leaves_the_noise_alone(name):
 
 
 # The online filter keeps no past in its state: it carries what drivers see back at its present rates.
-@pytest.mark.parametrize("name", [n for n in NAMES_OF_EFFECTS if not effect(n).looks_back])
+@pytest.mark.parametrize("name", [n for n in ON_A_RING if not effect(n).looks_back])
 def test_the_online_filter_is_the_batch_filter(name):
     row = switch_on(ROW.with_effects(drivers()[0]), name, ACTING[name])
     t = acting_recording(name).dense
@@ -195,7 +203,7 @@ def test_the_online_filter_is_the_batch_filter(name):
     "name",
     [
         n
-        for n in NAMES_OF_EFFECTS
+        for n in ON_A_RING
         if effect(n).stage != "measurement" and n not in (*CHANCE, "perception_threshold", "limited_braking")
     ],
 )
@@ -242,7 +250,9 @@ def test_a_threshold_and_an_uncertain_change_match_numerical_sums(wanted, std, t
 def test_a_component_adds_the_same_to_each_utility_as_for_one_action(name, horizon, stride):
     """Whether compilers know the horizon or not, and wherever the utilities stand."""
     row = switch_on(ROW.with_effects(drivers()), name, ACTING[name])[0]
-    seen = Seen(6.0, 5.0, 4.0, 10.0, 3.0, RING_M, 0.5, -0.5, 8.0, 4.5, 3.0, 6.0, 6.0, 5.0, 4.0)
+    seen = Seen(
+        6.0, 5.0, 4.0, 10.0, 3.0, RING_M, 0.5, -0.5, 8.0, 4.5, 3.0, 6.0, 6.0, 5.0, 4.0, np.inf, np.inf, np.inf, 0.0
+    )
     e, preferred, before = effect(name), preferences(row), np.linspace(-1.0, 1.0, len(ACTIONS))
     after = np.repeat(before, stride)
     add_components(seen, ACTIONS, 1.0 / 3.0, horizon, row, preferred, np.empty(len(ACTIONS)), after, stride)

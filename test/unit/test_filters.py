@@ -283,7 +283,7 @@ def test_chains_of_unequal_length_run_side_by_side_with_the_results_of_each_alon
     jobs = []
     for i, (first, last) in enumerate(((0, 120), (50, 300), (10, 290), (200, 260), (0, 300))):
         whole = chain_behind(jam.dense, i)
-        names = ("position_m", "identity", "length_m", "rear")
+        names = ("position_m", "identity", "length_m", "around")
         cut = {name: getattr(whole, name)[first:last].copy() for name in names}
         cut["identity"][150:, 0] = -1 if i == 2 else cut["identity"][150:, 0]
         row = switch_on(rows, "actuation_lag", {"time_constant": 0.3}) if i == 1 else rows

@@ -21,12 +21,13 @@ def test_nobody_drives_through_the_vehicle_ahead(run):
     """A driver at 20 m/s, 12 m behind a vehicle that stands: nobody can brake so hard."""
     recorded = np.zeros((_STEPS + 1, 2, 4))
     recorded[:, 0, :2], recorded[:, 1, 0] = (0.0, 20.0), 16.0
-    order = Order(np.array([1, -1]), np.zeros(2), np.full(2, _LENGTH_M))
+    order = Order(np.array([1, -1]), np.zeros(2), np.full(2, _LENGTH_M), np.full((2, 4), np.nan))
+    no_lines = np.full((_STEPS + 1, 2, 4), np.nan)
     rows = at_period(np.tile(ROW.with_effects(defaults()), (2, 1)), _PERIOD_S)
     setting = Setting(_PERIOD_S, horizon_at(_PERIOD_S), 0.0)
     out = np.full((_STEPS, 2, 2), np.nan)
     if run == "single":
-        run_single(np.array([0]), recorded, order, rows, ACTIONS, 0.0, setting, np.zeros((_STEPS, 2)), out)
+        run_single(np.array([0]), recorded, order, rows, ACTIONS, 0.0, setting, no_lines, np.zeros((_STEPS, 2)), out)
     else:
         run_coupled(recorded, order, rows, ACTIONS, 0.0, setting, np.zeros((_STEPS, 2)), out)
     gap = 16.0 - out[:, 0, 0] - _LENGTH_M
@@ -42,7 +43,7 @@ def ends_in_a_jam(shock, sigma_a=None):
     recorded = np.zeros((_STEPS + 1, _CARS, 4))
     recorded[0, :, 0], recorded[0, :, 1] = 6.0 * np.arange(_CARS), 0.5
     turn = np.where(np.arange(_CARS) == _CARS - 1, -_RING_M, 0.0)
-    order = Order(np.roll(np.arange(_CARS), -1), turn, np.full(_CARS, _LENGTH_M))
+    order = Order(np.roll(np.arange(_CARS), -1), turn, np.full(_CARS, _LENGTH_M), np.full((_CARS, 4), np.nan))
     parameters = defaults(_CARS)
     if sigma_a is not None:
         parameters[:, SIGMA_A] = sigma_a

@@ -148,7 +148,7 @@ def test_chains_are_those_of_the_dense_table() -> None:
         assert drive.scored.all()
         expected = filter_chain(chain_behind(dense, driver), population()).log_likelihood
         assert filter_chain(drive.chain, population()).log_likelihood == pytest.approx(expected, rel=1e-12)
-        np.testing.assert_allclose(drive.chain.rear, chain_behind(dense, driver).rear, rtol=0.0, atol=1e-9)
+        np.testing.assert_allclose(drive.chain.around, chain_behind(dense, driver).around, rtol=0.0, atol=1e-9)
 
 
 def test_what_is_not_one_lane_is_refused_with_the_cure() -> None:

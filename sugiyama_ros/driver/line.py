@@ -1,0 +1,59 @@
+"""The line before which a driver lets others pass: how much attention the driver pays to it.
+
+A line stands where lanes meet, and at a signal. It is a virtual leader: a vehicle of no length that stands there. A
+driver pays attention to it while somebody who goes first would be in the way: the attention, from 0 to 1, is the weight
+of the line's collision penalty beside the penalty of the leader (paper, sections 3.2 and 7).
+
+The times of arrival are compared as in the theory of gap acceptance. The driver needs some time to the line, at a
+comfortable acceleration. Who goes first is in the way if they reach the place behind the line earlier than
+``TIME_GAP_S`` after that, and leave it later than that. A driver who can no longer stop goes on.
+
+References
+----------
+Transportation Research Board, Highway Capacity Manual, 6th edition (2016), chapters 20 and 22 (critical headways).
+"""
+
+import math
+
+from sugiyama_ros.driver.utility import ACTIONS
+from sugiyama_ros.jit import kernel
+
+#: Time [s] that a driver needs free, from the line on, before somebody who goes first. Critical headways of single-lane
+#: roundabouts and of minor roads are 4 to 5 s.
+TIME_GAP_S = 4.0
+#: Acceleration [m/s^2] at which a driver reckons to reach the line.
+_COMFORTABLE = 1.5
+# Times [s] within which attention comes and goes, and the share of the hardest braking for a line that comes too late.
+_SOFT_S, _SOFT_BRAKING = 0.3, 0.1
+_HARDEST: float = -float(ACTIONS[0])
+
+
+@kernel
+def smooth_step(x: float) -> float:
+    """Go smoothly from 0, below x = 0, to 1, above it."""
+    if x < -30.0:
+        return 0.0
+    return 1.0 if x > 30.0 else 1.0 / (1.0 + math.exp(-x))
+
+
+@kernel
+def time_to_line(gap: float, speed: float) -> float:
+    """Compute the time [s] that a driver reckons to need to a line, at a comfortable acceleration."""
+    if gap <= 0.0:
+        return 0.0
+    return 2.0 * gap / (max(speed, 0.0) + math.sqrt(speed * speed + 2.0 * _COMFORTABLE * gap))
+
+
+@kernel
+def attention(gap: float, speed: float, arrive_s: float, clear_s: float, time_gap_s: float) -> float:
+    """Compute the attention, from 0 to 1, that a driver pays to a line.
+
+    gap: to the line [m]; speed: own [m/s]; arrive_s, clear_s: times [s] until who goes first reaches the place behind
+    the line, and until they have left it; time_gap_s: time [s] that the driver needs free.
+    """
+    if not 0.0 < gap < math.inf:
+        return 0.0
+    needed = time_to_line(gap, speed)
+    in_the_way = smooth_step((needed + time_gap_s - arrive_s) / _SOFT_S) * smooth_step((clear_s - needed) / _SOFT_S)
+    braking = max(speed, 0.0) ** 2 / (2.0 * gap * _HARDEST)
+    return in_the_way * smooth_step((1.0 - braking) / _SOFT_BRAKING)

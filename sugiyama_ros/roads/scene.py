@@ -1,0 +1,314 @@
+"""What drivers see of each other on a network: who is ahead on their way, and before which line they let others pass.
+
+A driver sees the next vehicle on their way, and of all lines before which they may have to wait the one that matters:
+the nearest line that asks for their attention, or else the one that comes nearest to it. Times of arrival go by the
+present speeds, as a driver may judge them. Who stands is not on the way; who is on the place behind the line is in the
+way of everybody, whoever goes first by the rule.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array, Ints, Mask
+from sugiyama_ros.driver.line import TIME_GAP_S, attention, time_to_line
+from sugiyama_ros.driver.parameters import REFERENCE_HORIZON, REFERENCE_PERIOD_S
+from sugiyama_ros.jit import kernel
+from sugiyama_ros.roads.network import Network, Path
+from sugiyama_ros.trajectories.about import About
+from sugiyama_ros.trajectories.assemble import assemble
+from sugiyama_ros.trajectories.labels import Labels, labels
+from sugiyama_ros.trajectories.tracks import LINE, NOBODY, Tracks
+
+#: Way [m] within which a driver looks for lines.
+VIEW_M = 100.0
+# Speed [m/s] below which a vehicle stands.
+_STANDING = 0.3
+# Time [s] after green for which a signal is still seen as one that has turned green.
+_AFTER_GREEN_S = 10.0
+# Way [m] that drivers stop before the place behind a line, or before a signal; who rolls on stops there.
+_BEFORE_M = 1.0
+# Time [s] on each side over which speeds are measured.
+_SPEED_OVER_S = 0.5
+# Way [m] between two places at which curvatures are kept, and time [s] for which drivers look ahead (paper, section 3).
+_STEP_M, _AHEAD_S = 1.0, REFERENCE_HORIZON * REFERENCE_PERIOD_S
+
+
+class RouteLines(NamedTuple):
+    """R routes through a network of L lanes, with all that drivers on them may come to.
+
+    start: (R, L), place [m] where each lane begins on each route, NaN for a lane that is not on it; order: (R, most),
+    numbers of the lanes of each route, -1 after the last; first: (R + 1,), first line of each route. Then of all lines,
+    in the order in which drivers come to them: stop, enter: (C,), where drivers wait, and where the place behind the
+    line begins [m]; other: (C,), the other lane, or -1 - k for signal number k; other_enter, other_leave: (C,), the
+    place on the other lane [m]; yields: (C,), whether drivers yield by rule. curvature: (R, most), [1/m], every metre.
+    """
+
+    start: Array
+    order: Ints
+    first: Ints
+    stop: Array
+    enter: Array
+    other: Ints
+    other_enter: Array
+    other_leave: Array
+    yields: Mask
+    curvature: Array
+
+
+class Moment(NamedTuple):
+    """N vehicles at one time: route (N,), place of the centre (N,) [m] on it, speed (N,) [m/s], length (N,) [m].
+
+    red: (S,), whether each signal of the network is red; since: (S,), time [s] since it has turned green.
+    """
+
+    route: Ints
+    place: Array
+    speed: Array
+    length: Array
+    red: Mask
+    since: Array
+
+
+def lines_of_routes(network: Network, paths: Sequence[Path]) -> RouteLines:
+    """Put the routes of a network into arrays for compiled code."""
+    lanes = len(network.lanes)
+    start = np.array([[path.place_of(k) for k in range(lanes)] for path in paths]).reshape(-1, lanes)
+    most = max(len(path.lanes) for path in paths)
+    order = np.array([[*path.lanes, *[-1] * (most - len(path.lanes))] for path in paths], dtype=np.int64)
+    number = {id(one): k for k, one in enumerate(network.signals)}
+    first, lines = [0], []
+    for path in paths:
+        met = path.conflicts
+        own = [
+            (
+                min(met.stop_m[c], met.enter_m[c] - _BEFORE_M),
+                met.enter_m[c],
+                met.other[c],
+                met.other_enter_m[c],
+                met.other_leave_m[c],
+                met.yields[c],
+            )
+            for c in range(len(met.stop_m))
+        ]
+        own += [(place - _BEFORE_M, place, -1 - number[id(signal)], 0.0, 0.0, True) for place, signal in path.signals]
+        lines += sorted(own, key=lambda line: line[0])
+        first.append(len(lines))
+    stop, enter, other, other_enter, other_leave, yields = zip(*lines, strict=True) if lines else ((),) * 6
+    places = [np.arange(0.0, path.length_m + _STEP_M, _STEP_M) for path in paths]
+    curvature = np.zeros((len(paths), max(map(len, places))))
+    for row, path, place in zip(curvature, paths, places, strict=True):
+        row[: len(place)] = np.abs(path.curvature(np.minimum(place, path.length_m)))
+    return RouteLines(
+        start=start,
+        order=order,
+        first=np.array(first, dtype=np.int64),
+        stop=np.array(stop, dtype=np.float64),
+        enter=np.array(enter, dtype=np.float64),
+        other=np.array(other, dtype=np.int64),
+        other_enter=np.array(other_enter, dtype=np.float64),
+        other_leave=np.array(other_leave, dtype=np.float64),
+        yields=np.array(yields, dtype=np.bool_),
+        curvature=curvature,
+    )
+
+
+def signals_at(network: Network, time_s: float) -> tuple[Mask, Array]:
+    """Whether each signal is red at a time [s], and the time [s] since it turned green; infinite while it is red."""
+    at = np.array([time_s])
+    red = np.array([bool(one.red_at(at)[0]) for one in network.signals], dtype=np.bool_)
+    since = np.array([float(one.changes(at)[0][0]) for one in network.signals], dtype=np.float64)
+    return red, np.where(red, np.inf, since)
+
+
+@kernel
+def _lane_at(place: float, route: int, ways: RouteLines) -> int:
+    """Return which lane of its route, counted along the route, is at a place [m]."""
+    k = 0
+    while k + 1 < ways.order.shape[1] and ways.order[route, k + 1] >= 0:
+        if ways.start[route, ways.order[route, k + 1]] > place:
+            break
+        k += 1
+    return k
+
+
+@kernel
+def _ahead(i: int, now: Moment, ways: RouteLines) -> tuple[int, float]:
+    """Return the next vehicle on the way of vehicle i, -1 for none, and the shift [m] of its places to the own way."""
+    leader, nearest, shift = -1, np.inf, 0.0
+    own = ways.start[now.route[i]]
+    for j in range(len(now.route)):
+        if j == i:
+            continue
+        route = now.route[j]
+        k = _lane_at(now.place[j], route, ways)
+        lane = ways.order[route, k]
+        if math.isnan(own[lane]):
+            # who has turned off is still in the way with the rear
+            if k == 0 or now.place[j] - 0.5 * now.length[j] > ways.start[route, lane]:
+                continue
+            lane = ways.order[route, k - 1]
+            if math.isnan(own[lane]):
+                continue
+        off = own[lane] - ways.start[route, lane]
+        away = now.place[j] + off - now.place[i]
+        if (away > 0.0 or (away == 0.0 and j < i)) and away < nearest:
+            leader, nearest, shift = j, away, off
+    return leader, shift
+
+
+@kernel
+def _met(i: int, c: int, needed: float, now: Moment, ways: RouteLines) -> tuple[float, float]:
+    """Return when who is in the way at line c reaches the place behind it, and has left it [s]; NaN for nobody."""
+    other = ways.other[c]
+    first, clear = np.nan, np.nan
+    for j in range(len(now.route)):
+        begin = ways.start[now.route[j], other]
+        if j == i or math.isnan(begin):
+            continue
+        to_enter = begin + ways.other_enter[c] - now.place[j] - 0.5 * now.length[j]
+        to_leave = begin + ways.other_leave[c] - now.place[j] + 0.5 * now.length[j]
+        if to_leave <= 0.0 or (to_enter > 0.0 and not (ways.yields[c] and now.speed[j] > _STANDING)):
+            continue
+        if to_enter > 0.0 and _is_held(j, begin + ways.other_enter[c], now, ways):
+            continue
+        arrive = time_to_line(to_enter, now.speed[j]) if to_enter > 0.0 else 0.0
+        leave = to_leave / max(now.speed[j], _STANDING)
+        if leave > needed and not arrive >= first:
+            first, clear = arrive, leave
+    return first, clear
+
+
+@kernel
+def _is_held(j: int, place: float, now: Moment, ways: RouteLines) -> bool:
+    """Whether a red signal holds vehicle j before a place [m] on its way."""
+    front = now.place[j] + 0.5 * now.length[j]
+    for c in range(ways.first[now.route[j]], ways.first[now.route[j] + 1]):
+        if ways.other[c] < 0 and now.red[-1 - ways.other[c]] and front < ways.stop[c] <= place:
+            return True
+    return False
+
+
+@kernel
+def _line(i: int, now: Moment, ways: RouteLines) -> tuple[float, float, float]:
+    """Return the place [m] of the line that matters to vehicle i, and its two times [s]; NaN for none."""
+    route, speed = now.route[i], now.speed[i]
+    front = now.place[i] + 0.5 * now.length[i]
+    place, first, clear, most = np.nan, np.nan, np.nan, -1.0
+    for c in range(ways.first[route], ways.first[route + 1]):
+        stop = ways.stop[c] if front < ways.stop[c] else ways.enter[c]
+        gap = stop - front
+        if not 0.0 < gap < VIEW_M:
+            continue
+        signal = -1 - ways.other[c]
+        if signal < 0:
+            arrive, leave = _met(i, c, time_to_line(gap, speed), now, ways)
+            if math.isnan(arrive):
+                continue
+        elif now.red[signal]:
+            arrive, leave = 0.0, np.inf
+        elif now.since[signal] < _AFTER_GREEN_S:
+            arrive, leave = np.inf, -now.since[signal]
+        else:
+            continue
+        paid = attention(gap, speed, arrive, leave, TIME_GAP_S)
+        if paid > most:
+            place, first, clear, most = stop, arrive, leave, paid
+        if paid > 0.5:
+            break
+    return place, first, clear
+
+
+@kernel
+def see_scene(now: Moment, ways: RouteLines, leader: Ints, shift: Array, line: Array) -> None:
+    """Fill in what each of N vehicles sees.
+
+    leader: (N,), the next vehicle on the way, -1 for none; shift: (N,), what to add to the leader's place [m]; line:
+    (N, 4), as of ``Order``.
+    """
+    for i in range(len(now.route)):
+        leader[i], shift[i] = _ahead(i, now, ways)
+        line[i, 0], line[i, 1], line[i, 2] = _line(i, now, ways)
+        here = max(int(now.place[i] / _STEP_M), 0)
+        there = int((now.place[i] + max(now.speed[i], 0.0) * _AHEAD_S) / _STEP_M) + 1
+        line[i, 3] = 0.0
+        for k in range(here, min(there, ways.curvature.shape[1])):
+            line[i, 3] = max(line[i, 3], ways.curvature[now.route[i], k])
+
+
+class OnNetwork(NamedTuple):
+    """What is known of vehicles on a network, row by row.
+
+    vehicle: (R,), number of the vehicle; route: (R,), number of its route, -1 for none; time_s: (R,), times [s], the
+    same for all vehicles in view; place: (R,), places [m] of the centres on the route; length: (R,), lengths [m];
+    recording: (R,), number of the recording; vehicles of other recordings are not there.
+    """
+
+    vehicle: Ints
+    route: Ints
+    time_s: Array
+    place: Array
+    length: Array
+    recording: Ints
+
+
+def scene(network: Network, paths: Sequence[Path], rows: OnNetwork) -> tuple[Ints, dict[str, Array]]:
+    """Work out what the drivers of recorded vehicles see.
+
+    Returns the row of each leader (R,), -1 for none, and columns (R,) for tracks: ``leader_shift_m``, ``line_m``,
+    ``arrive_s``, ``clear_s`` and ``curvature_per_m``.
+    """
+    there = np.flatnonzero(rows.route >= 0)
+    leader, shift, line = np.full(len(rows.route), -1), np.zeros(len(rows.route)), np.full((len(rows.route), 4), np.nan)
+    if len(there):
+        ways, speed = lines_of_routes(network, paths), _speeds(rows, there)
+        order = there[np.lexsort((rows.time_s[there], rows.recording[there]))]
+        new = (np.diff(rows.time_s[order]) > 0.5e-3) | (np.diff(rows.recording[order]) != 0)
+        for some in np.split(order, np.flatnonzero(new) + 1):
+            red, since = signals_at(network, float(rows.time_s[some[0]]))
+            now = Moment(rows.route[some], rows.place[some], speed[some], rows.length[some], red, since)
+            ahead, shifts, lines = np.full(len(some), -1), np.zeros(len(some)), np.full((len(some), 4), np.nan)
+            see_scene(now, ways, ahead, shifts, lines)
+            leader[some] = np.where(ahead >= 0, some[ahead], -1)
+            shift[some], line[some] = shifts, lines
+    return leader, {"leader_shift_m": shift, **{name: line[:, k] for k, name in enumerate(LINE)}}
+
+
+def tracks_on(network: Network, paths: Sequence[Path], rows: OnNetwork, about: About) -> Tracks:
+    """Make tracks of vehicles on a network, which have numbers, with what their drivers see. Raises InputError."""
+    ahead, seen = scene(network, paths, rows)
+    count = int(rows.vehicle.max(initial=-1)) + 1
+    called = [str(k) for k in range(count)]
+    leader = labels(np.where(ahead < 0, count, rows.vehicle[ahead]).astype(np.int32), [*called, NOBODY])
+    columns: dict[str, Labels | Array] = {
+        "vehicle": labels(rows.vehicle.astype(np.int32), called),
+        "leader": leader,
+        "time_s": rows.time_s,
+        "s_m": rows.place,
+        "length_m": rows.length,
+    }
+    return assemble({**columns, **seen}, replace(about, leaders="given"))
+
+
+def _speeds(rows: OnNetwork, there: Ints) -> Array:
+    """Speed [m/s] in the rows ``there``: slope of the straight line through the places within half a second."""
+    speed = np.zeros(len(rows.place))
+    order = there[np.lexsort((rows.time_s[there], rows.route[there], rows.vehicle[there]))]
+    new = (np.diff(rows.vehicle[order]) != 0) | (np.diff(rows.route[order]) != 0)
+    for own in np.split(order, np.flatnonzero(new) + 1):
+        time, place = rows.time_s[own], rows.place[own]
+        first = np.searchsorted(time, time - _SPEED_OVER_S - 1e-6)
+        last = np.searchsorted(time, time + _SPEED_OVER_S + 1e-6)
+        # at least one row on each side
+        first = np.minimum(first, np.maximum(np.arange(len(own)) - 1, 0))
+        last = np.maximum(last, np.minimum(np.arange(len(own)) + 2, len(own)))
+        t, x = time - time[0], place - place[0]
+        sums = [np.concatenate(([0.0], np.cumsum(one))) for one in (t, x, t * t, t * x)]
+        n = (last - first).astype(np.float64)
+        st, sx, stt, stx = (one[last] - one[first] for one in sums)
+        spread = n * stt - st * st
+        speed[own] = np.where(spread > 1e-12, (n * stx - st * sx) / np.where(spread > 1e-12, spread, 1.0), 0.0)
+    return speed
