@@ -12,11 +12,10 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.reading import elements, number, root_of
 from sugiyama_ros.roads.conflicts import conflicts_of_geometry
-from sugiyama_ros.roads.network import Conflict, Lanelet, Network, Signal
+from sugiyama_ros.roads.network import Conflict, Lanelet, Network, Signal, periodic
 
 #: Points of all lanelets of a file, at most.
 MAX_POINTS = 200_000
@@ -111,12 +110,10 @@ def read_commonroad_road(path: Path) -> Network:
 
 
 class _Light(NamedTuple):
-    """A traffic light: where the lanelets go for which it is (empty for everywhere), and its phases as of `Signal`."""
+    """A traffic light: where the lanelets go for which it is (empty for everywhere), and a signal with its phases."""
 
     goes: tuple[str, ...]
-    change_s: Array
-    red: Mask
-    cycle_s: float
+    signal: Signal
 
 
 @dataclass
@@ -158,16 +155,14 @@ def _light(element: Element, path: Path, period_s: float) -> _Light:
     if element.findtext("active", "true").strip().lower() == "false":
         phases = []
     duration = np.array([value_of(one, "duration", where) for one in phases]) * period_s
-    if not (duration > 0.0).all():
-        raise InputError(f"{where}: a phase lasts {duration.min():g} s; give times above 0")
     red = np.array([one.findtext("color", "").strip() not in ("green", "inactive") for one in phases], dtype=bool)
     offset = value_of(element, "cycle/timeOffset", where) if element.find("cycle/timeOffset") is not None else 0.0
-    cycle = float(duration.sum())
-    begin = np.mod(offset * period_s + np.cumsum(duration) - duration, cycle or np.inf)
-    order = np.argsort(begin)
     direction = element.findtext("direction", "all").strip().lower()
     goes = tuple(_GOES[name] for name in _GOES if name in direction)
-    return _Light(goes, begin[order], red[order], cycle)
+    try:
+        return _Light(goes, periodic("", 0.0, offset * period_s, duration, red))
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
 
 
 def _network(file: _Scenario) -> Network:
@@ -245,5 +240,5 @@ def _signals(file: _Scenario, network: Network) -> tuple[Signal, ...]:
             behind = [name for name in lane.successors if goes_of.get(name) in light.goes]
             places: Sequence[tuple[str, float]] = [(name, stop - lane.length_m) for name in behind]
             for name, stop_m in [(lane.name, stop)] if own else places:
-                found.setdefault(name, Signal(name, stop_m, *light[1:]))
+                found.setdefault(name, replace(light.signal, lane=name, stop_m=stop_m))
     return tuple(found.values())

@@ -8,6 +8,7 @@ from sugiyama_ros.formats.lanelet2 import read_lanelet2
 from sugiyama_ros.formats.reading import has_root
 from sugiyama_ros.formats.road_csv import read_road_csv
 from sugiyama_ros.formats.sheet import head_of
+from sugiyama_ros.formats.sumo_net import read_sumo_net
 from sugiyama_ros.roads.network import Network
 
 
@@ -17,8 +18,8 @@ def read_road(path: str | Path) -> Network:
     Parameters
     ----------
     path : str or Path
-        A map of Lanelet2 (``.osm``), a CommonRoad scenario (``.xml``), or CSV with a row for each point of the middle
-        of a lane.
+        A map of Lanelet2 (``.osm``), a CommonRoad scenario (``.xml``), a network of SUMO (``.net.xml``), or CSV with a
+        row for each point of the middle of a lane.
 
     Returns
     -------
@@ -45,6 +46,8 @@ def read_road(path: str | Path) -> Network:
         return read_lanelet2(path)
     if has_root(head, path, "commonRoad"):
         return read_commonroad_road(path)
+    if has_root(head, path, "net"):
+        return read_sumo_net(path)
     if head.lstrip().startswith(b"<"):
-        raise InputError(f"{path}: neither a map of Lanelet2 nor a CommonRoad scenario; give one of these, or CSV")
+        raise InputError(f"{path}: not a road of Lanelet2, CommonRoad or SUMO; give one of these, or CSV")
     return read_road_csv(path)

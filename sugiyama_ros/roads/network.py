@@ -222,6 +222,19 @@ class Signal:
         return np.mod(time, self.cycle_s) if self.cycle_s else time
 
 
+def periodic(lane: str, stop_m: float, offset_s: float, duration_s: Array, red: Mask) -> Signal:
+    """A signal of phases (S,) that follow one another for ever, the first from a time [s] on. Raises InputError."""
+    if not (duration_s > 0.0).all():
+        raise InputError(f"signal of lane {lane}: a phase lasts {duration_s.min():g} s; give times above 0")
+    if red.all() or not red.any():
+        # the same for ever; without phases, nothing is known
+        return Signal(lane, stop_m, np.zeros(min(1, len(red))), red[:1])
+    cycle = float(duration_s.sum())
+    begin = np.mod(offset_s + np.cumsum(duration_s) - duration_s, cycle)
+    order = np.argsort(begin)
+    return Signal(lane, stop_m, begin[order], red[order], cycle)
+
+
 @dataclass(frozen=True)
 class PathConflicts:
     """The conflicts of a path, in the order of the places where drivers wait.
