@@ -14,6 +14,8 @@ CLEARANCE_M = 2.5
 _OF_WIDTH = 0.8
 # Way [m] between the points of a middle line at which it is compared with others.
 _STEP_M = 0.5
+# Pairs of points of two lines that are compared at a time.
+_MOST = 1_000_000
 # An area that begins this near [m] to the start of a lane begins there.
 _AT_END_M = 1e-6
 
@@ -134,14 +136,14 @@ def _distance(point: Array, line: _Sampled) -> tuple[Array, Array]:
     reach = 2.0 * CLEARANCE_M
     low, high = line.point.min(axis=0) - reach, line.point.max(axis=0) + reach
     rows = np.flatnonzero(((point >= low) & (point <= high)).all(axis=1))
-    if len(rows):
-        way, length = np.diff(line.point, axis=0), np.diff(line.s)
-        to = point[rows, None, :] - line.point[:-1]
+    way, length = np.diff(line.point, axis=0), np.diff(line.s)
+    for some in np.array_split(rows, len(rows) * len(way) // _MOST + 1):
+        to = point[some, None, :] - line.point[:-1]
         part = np.clip((to * way).sum(axis=2) / (way**2).sum(axis=1), 0.0, 1.0)
         far = np.hypot(*np.moveaxis(to - part[:, :, None] * way, 2, 0))
         best = far.argmin(axis=1)
-        k = np.arange(len(rows))
-        distance[rows], place[rows] = far[k, best], line.s[best] + part[k, best] * length[best]
+        k = np.arange(len(some))
+        distance[some], place[some] = far[k, best], line.s[best] + part[k, best] * length[best]
     return distance, place
 
 

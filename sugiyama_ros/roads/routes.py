@@ -23,6 +23,8 @@ _ON_LANE_M = 3.5
 _CHANGE = 1.75**2
 # Lanes that a vehicle may pass between two samples.
 _PASSED = 3
+# Places that are put on a path at a time.
+_MOST = 2_000
 # Way [m] of a vehicle over which its heading is measured: far more than the errors of positions.
 _MOVED_M = 3.0
 
@@ -262,7 +264,8 @@ def _pieces(ways: Ways, places: Sequence[Place]) -> Iterator[tuple[tuple[int, ..
 def _along(path: Path, place_m: Array, places: Sequence[Place]) -> tuple[Array, Array]:
     """Places [m] along a path and across it of points (N, 2) [m] on its lanes."""
     along = np.array([path.place_of(place.lane) + place.along for place in places])
-    s, d = path.project(*place_m.T)
+    parts = np.array_split(place_m, len(place_m) // _MOST + 1)
+    s, d = np.concatenate([path.project(*part.T) for part in parts], axis=1)
     # where a path comes near to itself, its nearest point may be of another lane
     astray = np.abs(s - along) > 2.0 * _ON_LANE_M
     return np.where(astray, along, s), np.where(astray, [place.across for place in places], d)

@@ -232,3 +232,63 @@ def test_a_road_of_commonroad_is_read(tmp_path: Path) -> None:
     assert (signal.lane, signal.stop_m, signal.cycle_s) == ("7", 0.0, 50.0)
     # red for 30 s from 10 s on, and green before
     assert signal.red_at(np.array([5.0, 15.0, 39.0, 41.0, 61.0])).tolist() == [False, True, True, False, True]
+
+
+def sumo_net(light: str = "", kind: str = "static") -> str:
+    """Two roads of two lanes and one lane that cross; the one to the north yields. ``light``: states of a light."""
+    shapes = {
+        "east_0": "-50,0 -5,0", "east_1": "-50,3.2 -5,3.2", ":c_0_0": "-5,0 5,0", "out_0": "5,0 50,0",
+        "north_0": "0,-50 0,-5", ":c_1_0": "0,-5 0,5", "up_0": "0,5 0,50", "walk_0": "-5,-5 5,-5",
+    }  # fmt: skip
+    edges: dict[str, list[str]] = {}
+    for name, shape in shapes.items():
+        forbidden = 'allow="pedestrian"' if name == "walk_0" else ""
+        lane = f'<lane id="{name}" index="{name[-1]}" speed="13.9" length="45" shape="{shape}" {forbidden}/>'
+        edges.setdefault(name[:-2], []).append(lane)
+    links = "".join(
+        f'<connection from="{a}" to="{b}" fromLane="0" toLane="0" via="{via}" {said} dir="s" state="m"/>'
+        for a, b, via, said in (
+            ("east", "out", ":c_0_0", 'tl="c" linkIndex="0"' * bool(light)),
+            ("north", "up", ":c_1_0", 'tl="c" linkIndex="1"' * bool(light)),
+        )
+    )
+    inside = "".join(
+        f'<connection from="{a}" to="{b}" fromLane="0" toLane="0"/>' for a, b in ((":c_0", "out"), (":c_1", "up"))
+    )
+    phases = "".join(f'<phase duration="{20 + 10 * k}" state="{state}"/>' for k, state in enumerate(light.split()))
+    program = f'<tlLogic id="c" type="{kind}" programID="0" offset="5">{phases}</tlLogic>' * bool(light)
+    return (
+        "<net>"
+        + "".join(f'<edge id="{name}" from="a" to="b">{"".join(lanes)}</edge>' for name, lanes in edges.items())
+        + program
+        + '<junction id="c" type="priority" incLanes="east_0 east_1 north_0" intLanes=":c_0_0 :c_1_0">'
+        '<request index="0" response="00" foes="10" cont="0"/><request index="1" response="01" foes="01" cont="0"/>'
+        "</junction>" + links + inside + "</net>"
+    )
+
+
+def test_a_network_of_sumo_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "road.net.xml"
+    path.write_text(sumo_net())
+    road = sg.read_road(path)
+    lanes = {one.name: one for one in road.lanes}
+    assert "walk_0" not in lanes
+    assert (lanes["east_0"].successors, lanes[":c_0_0"].successors) == ((":c_0_0",), ("out_0",))
+    assert (lanes["east_0"].left, lanes["east_1"].right, lanes["east_0"].right) == ("east_1", "east_0", "")
+    one = conflict(road, ":c_1_0", ":c_0_0")
+    assert (one.yields, one.stop_m, one.enter_m) == (True, 0.0, 2.5)
+    assert not conflict(road, ":c_0_0", ":c_1_0").yields
+    # who never has green together with others lets nobody pass
+    path.write_text(sumo_net("Gr ry rG"))
+    road = sg.read_road(path)
+    assert not any(one.yields for one in road.conflicts)
+    north = next(one for one in road.signals if one.lane == ":c_1_0")
+    time = np.array([0.0, 6.0, 54.0, 56.0, 94.0, 96.0])
+    assert north.red_at(time).tolist() == [False, True, True, False, False, True]
+    path.write_text(sumo_net("Gg"))
+    assert conflict(sg.read_road(path), ":c_1_0", ":c_0_0").yields
+    path.write_text(sumo_net("Gr rG", kind="actuated"))
+    assert [len(one.red) for one in sg.read_road(path).signals] == [0, 0]
+    path.write_text(sumo_net().replace('speed="13.9"', 'speed="fast"', 1))
+    with pytest.raises(InputError, match="lane east_0: speed 'fast' is not a number"):
+        sg.read_road(path)
