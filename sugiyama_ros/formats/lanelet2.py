@@ -15,9 +15,9 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.reading import attribute, elements
+from sugiyama_ros.formats.reading import elements, number
 from sugiyama_ros.roads.conflicts import conflicts_of_geometry
-from sugiyama_ros.roads.network import Lanelet, Network, Signal
+from sugiyama_ros.roads.network import FARTHEST_M, Lanelet, Network, Signal
 
 # Subtypes of lanelets for cars.
 _FOR_CARS = {"road", "highway", "play_street", "exit", "bus_lane"}
@@ -55,7 +55,10 @@ class _Map:
         """Places (N, 2) [m] of nodes. Raises InputError."""
         if missing := [one for one in nodes if one not in self.local]:
             raise InputError(f"no node {missing[0]}, or no place of it; write the map as a whole")
-        return np.array([self.local[one] for one in nodes])
+        found = np.array([self.local[one] for one in nodes])
+        if not (np.abs(found) < FARTHEST_M).all():
+            raise InputError(f"a node is no place on earth, such as {nodes[0]} or one beside it; correct the map")
+        return found
 
 
 class _Bounds(NamedTuple):
@@ -114,7 +117,7 @@ def _add_node(file: _Map, element: Element, where: str) -> None:
         (element.attrib, ("lat", "lon"), file.degrees),
     ):
         if names[0] in source and name not in places:
-            first, second = (attribute(source, one, where) for one in names)
+            first, second = (number(source.get(one, ""), one, where) for one in names)
             places[name] = first, second
 
 

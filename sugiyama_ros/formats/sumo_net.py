@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.reading import attribute, elements, number
+from sugiyama_ros.formats.reading import elements, number
 from sugiyama_ros.roads.conflicts import conflicts_of_geometry
 from sugiyama_ros.roads.network import Lanelet, Network, Signal, periodic
 
@@ -93,11 +93,12 @@ def _is_for_cars(lane: Element) -> bool:
 def _lane(lane: Element, left: str, right: str, path: Path) -> Lanelet:
     name = lane.get("id", "")
     where = f"{path}: lane {name[:40]}"
-    points = np.array(
-        [[number(text, "shape", where) for text in one.split(",")[:2]] for one in lane.get("shape", "").split()]
-    ).reshape(-1, 2)
+    corners = [one.split(",") for one in lane.get("shape", "").split()]
+    if min(map(len, corners), default=2) < 2:
+        raise InputError(f"{where}: shape: a point has no y; correct it")
+    points = np.array([[number(text, "shape", where) for text in one[:2]] for one in corners]).reshape(-1, 2)
     kept = np.concatenate(([True], np.hypot(*np.diff(points, axis=0).T) > 0.0))[: len(points)]
-    limit = attribute(lane.attrib, "speed", where)
+    limit = number(lane.get("speed", ""), "speed", where)
     width = number(lane.get("width", "3.2"), "width", where)
     try:
         return Lanelet(name, points[kept, 0], points[kept, 1], (), left, right, limit, width)
@@ -183,7 +184,7 @@ def _signals(net: _Net, path: Path) -> Iterator[Signal]:
         if program.get("type", "static") != "static" or not states:
             yield Signal(link.via, 0.0, np.zeros(0), np.zeros(0, dtype=bool))
             continue
-        duration = np.array([attribute(one.attrib, "duration", where) for one in program])
-        offset = attribute(program.attrib, "offset", where) if "offset" in program.attrib else 0.0
+        duration = np.array([number(one.get("duration", ""), "duration", where) for one in program])
+        offset = number(program.get("offset", "0"), "offset", where)
         red = np.array([state[link.place] not in _GREEN for state in states])
         yield periodic(link.via, 0.0, offset, duration, red)

@@ -14,8 +14,8 @@ CLEARANCE_M = 2.5
 _OF_WIDTH = 0.8
 # Way [m] between the points of a middle line at which it is compared with others.
 _STEP_M = 0.5
-# Pairs of points of two lines that are compared at a time.
-_MOST = 1_000_000
+# Pieces of a line that are compared with others at a time.
+_PIECES = 64
 # An area that begins this near [m] to the start of a lane begins there.
 _AT_END_M = 1e-6
 
@@ -133,17 +133,19 @@ def _near(one: _Sampled, other: _Sampled, clearance: float) -> Iterator[_Area]:
 def _distance(point: Array, line: _Sampled) -> tuple[Array, Array]:
     """Distance (K,) [m] of points to a line, infinite where it is large, and the place [m] on the line."""
     distance, place = np.full(len(point), np.inf), np.full(len(point), np.nan)
-    reach = 2.0 * CLEARANCE_M
-    low, high = line.point.min(axis=0) - reach, line.point.max(axis=0) + reach
-    rows = np.flatnonzero(((point >= low) & (point <= high)).all(axis=1))
-    way, length = np.diff(line.point, axis=0), np.diff(line.s)
-    for some in np.array_split(rows, len(rows) * len(way) // _MOST + 1):
-        to = point[some, None, :] - line.point[:-1]
-        part = np.clip((to * way).sum(axis=2) / (way**2).sum(axis=1), 0.0, 1.0)
-        far = np.hypot(*np.moveaxis(to - part[:, :, None] * way, 2, 0))
-        best = far.argmin(axis=1)
-        k = np.arange(len(some))
-        distance[some], place[some] = far[k, best], line.s[best] + part[k, best] * length[best]
+    for first in range(0, len(line.s) - 1, _PIECES):
+        part = slice(first, first + _PIECES + 1)
+        corner, s = line.point[part], line.s[part]
+        low, high = corner.min(axis=0) - 2.0 * CLEARANCE_M, corner.max(axis=0) + 2.0 * CLEARANCE_M
+        rows = np.flatnonzero(((point >= low) & (point <= high)).all(axis=1))
+        way = np.diff(corner, axis=0)
+        to = point[rows, None, :] - corner[:-1]
+        along = np.clip((to * way).sum(axis=2) / (way**2).sum(axis=1), 0.0, 1.0)
+        far = np.hypot(*np.moveaxis(to - along[:, :, None] * way, 2, 0))
+        k, best = np.arange(len(rows)), far.argmin(axis=1)
+        nearer = far[k, best] < distance[rows]
+        rows, k, best = rows[nearer], k[nearer], best[nearer]
+        distance[rows], place[rows] = far[k, best], s[best] + along[k, best] * np.diff(s)[best]
     return distance, place
 
 

@@ -22,6 +22,10 @@ _HALF_M = 2.5
 _JOINT_M = 1.0
 # Way [m] behind a lane within which a crossing ends.
 _REACH_M = 50.0
+#: Places [m] on earth, by UTM, at most.
+FARTHEST_M = 2e7
+# Lengths [m] of lanes, at most.
+_LONGEST_M = 1e5
 # Two points that are nearer than this [m] are the same point.
 _SAME_M = 2e-3
 
@@ -67,10 +71,14 @@ class Lanelet:
             raise InputError(f"lane {self.name}: speed_limit {self.speed_limit:g} m/s is not positive; correct it")
         if not 0.5 <= self.width_m <= 50.0:
             raise InputError(f"lane {self.name}: width {self.width_m:g} m is not that of a lane; give 0.5 to 50")
+        if not (np.abs(self.x_m) < FARTHEST_M).all() or not (np.abs(self.y_m) < FARTHEST_M).all():
+            raise InputError(f"lane {self.name}: a point is no place on earth; correct its points")
         try:
             is_ring = self.line.road.is_ring
         except InputError as error:
             raise InputError(f"lane {self.name}: {error}") from None
+        if self.length_m > _LONGEST_M:
+            raise InputError(f"lane {self.name}: it is {self.length_m:.3g} m long; cut it into shorter ones")
         if is_ring:
             raise InputError(f"lane {self.name}: it ends where it begins; cut it into two lanes or more")
 
@@ -96,6 +104,8 @@ def _line(point: Array) -> CentreLine:
     which is as far from the bend as the next piece is long.
     """
     step = np.hypot(*np.diff(point, axis=0).T)
+    if len(point) < 2 or not (step > 0.0).all():
+        return CentreLine(*point.T)
     points = [point[0]]
     for k, (begin, end) in enumerate(pairwise(point)):
         before, after = (step[one] if 0 <= one < len(step) else np.inf for one in (k - 1, k + 1))

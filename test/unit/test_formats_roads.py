@@ -156,7 +156,7 @@ def test_damaged_maps_of_lanelet2_are_refused(tmp_path: Path) -> None:
     path.write_text(good)
     assert sg.read_road(path).lanes[0].length_m == pytest.approx(11.13, abs=0.02)
     for old, new, error in (
-        ('lat="-3e-05"', 'lat="south"', "map.osm: node 3: lat 'south' is not a number"),
+        ('lat="-3e-05"', 'lat="south"', "map.osm: node 3: lat 'south' is not a finite number"),
         ('role="right"', 'role="rite"', "map.osm: lanelet 9: not one left and one right bound"),
         ('<nd ref="4"/>', '<nd ref="5"/>', "map.osm: no node 5, or no place of it"),
         ("</osm>", "", "map.osm:1: not XML"),
@@ -290,5 +290,5 @@ def test_a_network_of_sumo_is_read(tmp_path: Path) -> None:
     path.write_text(sumo_net("Gr rG", kind="actuated"))
     assert [len(one.red) for one in sg.read_road(path).signals] == [0, 0]
     path.write_text(sumo_net().replace('speed="13.9"', 'speed="fast"', 1))
-    with pytest.raises(InputError, match="lane east_0: speed 'fast' is not a number"):
+    with pytest.raises(InputError, match="lane east_0: speed 'fast' is not a finite number"):
         sg.read_road(path)
