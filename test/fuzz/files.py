@@ -6,6 +6,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import diagnoses
+import maps
 import numpy as np
 
 from sugiyama_ros.driver.parameters import PARAMETERS
@@ -168,6 +169,19 @@ def bag() -> bytes:
         path = Path(folder, "a.mcap")
         write_bag(given, path)
         return path.read_bytes()
+
+
+#: Roads in each form.
+ROADS = {
+    "road.csv": (
+        "lane,x_m,y_m,successors,left,right,speed_limit,width_m,priority,yields_to,stop_m,signal,signal_m\n"
+        "a,-30,0,c,,,13.9,3.5,1,,,,\na,0,0,,,,,,,,,,\nc,0,0,,,,,,,b,,,\nc,30,0,,,,,,,,,,\n"
+        "b,10,-30,,,,,,,,20,0:red 30.5:green /60,55\nb,10,30,,,,,,,,,,\n"
+    ),
+    "map.osm": maps.crossing_osm(),
+    "scenario.xml": maps.scenario('<trafficSignRef ref="21"/>', '<trafficLightRef ref="30"/>'),
+    "road.net.xml": maps.sumo_net("Gr ry rG"),
+}
 
 
 def parquet() -> bytes:

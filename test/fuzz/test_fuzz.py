@@ -38,6 +38,7 @@ from sugiyama_ros.formats.choices import read_choices
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.recover import recover
 from sugiyama_ros.formats.registry import read_tracks
+from sugiyama_ros.formats.roads import read_road
 from sugiyama_ros.nodes.base import incoming
 from sugiyama_ros.nodes.keeper import read_learnt
 from sugiyama_ros.page.diagnosis import read_diagnosis
@@ -95,6 +96,14 @@ def test_texts(folder: Path, name: str, data: st.DataObject) -> None:
     path.write_bytes(data.draw(mutations.texts(files.TEXTS[name])))
     handled(all_drives, path)
     handled(positions, path)
+
+
+@pytest.mark.parametrize("name", files.ROADS)
+@given(data=st.data())
+def test_roads(folder: Path, name: str, data: st.DataObject) -> None:
+    path = folder / name
+    path.write_bytes(data.draw(mutations.texts(files.ROADS[name])))
+    handled(read_road, path)
 
 
 BAG = files.bag()
