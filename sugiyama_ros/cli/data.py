@@ -347,6 +347,7 @@ def _document_of(tracks: "Tracks") -> dict[str, Any]:
             "free_road": float(np.mean(tracks.leader_row == -1)),
             "unknown": float(np.mean(tracks.leader_row == -2)),
         },
+        "lines": None if tracks.line_m is None else float(np.mean(np.isfinite(tracks.line_m))),
         "columns": list(tracks.columns),
         "smoothing": tracks.about.smoothing or None,
         "dropped": dict(tracks.about.dropped),
@@ -392,6 +393,7 @@ def _lines_of(document: dict[str, Any]) -> list[tuple[str, str]]:
         ("Positions", f"{document['from_m']:.6g} to {document['to_m']:.6g} m, of the vehicles' centres"),
         ("Ring", f"{document['ring_m']:g} m" if document["ring_m"] else ""),
         ("Leaders", known),
+        ("Lines", "" if document["lines"] is None else f"a driver comes to one in {document['lines']:.1%} of the rows"),
         ("Smoothing", document["smoothing"] or ""),
         *(("Note", note) for note in document["notes"]),
     ]

@@ -154,7 +154,7 @@ class Encoder:
             self._stores[type_name] = store
 
     def __call__(self, type_name: str, **fields: Any) -> bytes:
-        """CDR bytes of a message. Give a nested message as a dictionary of its fields."""
+        """CDR bytes of a message. Give a nested message as a dictionary of its fields; a list left out is empty."""
         store = self._stores[type_name]
         return bytes(store.serialize_cdr(_build(store, type_name, fields), type_name, little_endian=True))
 
@@ -163,8 +163,9 @@ def _build(store: Typestore, type_name: str, fields: dict[str, Any]) -> Any:
     """A message object with its nested messages."""
     message_type: Any = store.types[type_name]
     nested = {name: desc[1] for name, desc in store.fielddefs[type_name][1] if desc[0] == Nodetype.NAME}
+    lists = [name for name, desc in store.fielddefs[type_name][1] if desc[0] == Nodetype.SEQUENCE]
     values = {name: _build(store, str(nested[name]), v) if name in nested else v for name, v in fields.items()}
-    return message_type(**values)
+    return message_type(**{name: np.zeros(0) for name in lists} | values)
 
 
 def _store(type_name: str, text: str, kind: str = "ros2msg") -> Typestore | None:

@@ -17,7 +17,7 @@ from sugiyama_ros.trajectories.about import About, Leaders, Reference
 from sugiyama_ros.trajectories.assemble import assemble
 from sugiyama_ros.trajectories.labels import Labels, labels
 from sugiyama_ros.trajectories.time_base import is_regular, on_time_base
-from sugiyama_ros.trajectories.tracks import NUMBERS, Tracks
+from sugiyama_ros.trajectories.tracks import INFINITE, NUMBERS, Tracks
 
 #: Columns by name, (R,) each.
 Rows: TypeAlias = dict[str, Array | Labels]
@@ -69,7 +69,7 @@ def read_columns(sheet: Sheet, wanted: Mapping[str, Take], hint: str = "") -> Ro
     times = {place: wanted[name].factor for name, place in found.items() if name in ("time_s", "clock_s")}
     numbers = {place for name, place in found.items() if is_number(name)}
     texts = {place for name, place in found.items() if not is_number(name)} - numbers
-    read = read_sheet(sheet, numbers, texts, times)
+    read = read_sheet(sheet, numbers, texts, times, [found[name] for name in INFINITE if name in found])
     table: Rows = {}
     for name, place in found.items():
         column = read[place]

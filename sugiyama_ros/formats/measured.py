@@ -3,11 +3,14 @@
 import math
 from array import array
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices, agreed_ring
 from sugiyama_ros.formats.format import Format
@@ -16,8 +19,8 @@ from sugiyama_ros.formats.reading import checksum_of, shown_name
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.assemble import Column, assemble
 from sugiyama_ros.trajectories.dense import MAX_SAMPLES, DenseTracks
-from sugiyama_ros.trajectories.labels import numbered
-from sugiyama_ros.trajectories.tracks import Tracks
+from sugiyama_ros.trajectories.labels import Labels, labels, numbered
+from sugiyama_ros.trajectories.tracks import LINE, NOBODY, Tracks
 
 if TYPE_CHECKING:
     from sugiyama_ros.formats.mcap_reader import Bag
@@ -29,13 +32,11 @@ MEASURED_TYPE = "sugiyama_msgs/msg/MeasuredPositions"
 CONTROLLED_TYPE, CONTROLLED = "std_msgs/msg/Int32MultiArray", "controlled"
 # Largest number of a vehicle, which ROS sends in 32 bits.
 _LAST_VEHICLE = 2**31 - 1
-# The fields that trajectories on one lane do not have.
-_UNKNOWN = {
-    "lane": np.zeros(0, np.int32),
-    "d_m": np.zeros(0),
-    "stamp_offset_s": np.zeros(0),
-    "position_var": np.zeros(0),
-}
+# Lists that not every source of positions knows and that tracks keep. Older bags lack some of them.
+_MORE = ("lane", "d_m", *LINE, "leader_shift_m")
+_NONE = np.zeros(0)
+# What a message says of a leader: there is none, or nobody knows whether there is one.
+_FREE, _UNKNOWN = -1, -2
 #: Frame in the headers of all messages: positions along the road.
 FRAME = "road"
 
@@ -89,7 +90,6 @@ def messages(trajectories: DenseTracks) -> Iterator[tuple[str, int, bytes]]:
                 leader=np.where(ahead >= 0, vehicle[ahead], np.int32(-1)),
                 position_m=trajectories.position_m[step, here],
                 length_m=trajectories.length_m[here],
-                **_UNKNOWN,
             ),
         )
 
@@ -184,6 +184,9 @@ class _Columns:
         self._row = array("q")
         self._column = array("q")
         self._position = array("d")
+        self._leader = array("i")
+        # by name: the first row of each message that has the list, and the list
+        self._more: dict[str, list[tuple[int, Array]]] = {}
         self._length: dict[int, float] = {}
         self._number: dict[int, int] = {}
         self._first: tuple[int, float] | None = None
@@ -206,7 +209,9 @@ class _Columns:
         vehicles = message.vehicle.tolist()
         if not all(type(vehicle) is int and 0 <= vehicle <= _LAST_VEHICLE for vehicle in vehicles):
             raise InputError(f"{where}: a vehicle's number is not within 0 to {_LAST_VEHICLE}; number the vehicles")
-        if not len(vehicles) == len(message.position_m) == len(message.length_m):
+        more: dict[str, Array] = {name: given for name in _MORE if len(given := getattr(message, name, _NONE))}
+        each = (message.position_m, message.length_m, message.leader, *more.values())
+        if any(len(one) != len(vehicles) for one in each):
             raise InputError(f"{where}: its arrays differ in length; the publisher is faulty")
         if len(set(vehicles)) != len(vehicles):
             raise InputError(f"{where}: a vehicle's number occurs twice; the publisher is faulty")
@@ -218,8 +223,11 @@ class _Columns:
             if self._length.setdefault(vehicle, length) != length:
                 raise InputError(f"{where}: vehicle {vehicle} changes its length; the publisher is faulty")
             self._column.append(self._number.setdefault(vehicle, len(self._number)))
+        for name, given in more.items():
+            self._more.setdefault(name, []).append((len(self._row), given))
         self._row.extend([message.step - self._first[0]] * len(vehicles))
         self._position.extend(message.position_m.tolist())
+        self._leader.extend(message.leader.tolist())
 
     def tracks(self, about: About) -> Tracks:
         """All samples, on the time base that the road states."""
@@ -242,7 +250,23 @@ class _Columns:
         }
         if self.controlled:
             columns["controlled"] = np.isin(vehicle, list(self.controlled))
+        for name, parts in self._more.items():
+            column = np.full(len(vehicle), np.nan)
+            for first, given in parts:
+                column[first : first + len(given)] = given
+            columns[name] = _named(np.nan_to_num(column, nan=-1.0), {}) if name == "lane" else column
+        leader = np.frombuffer(self._leader, dtype=np.int32)
+        if self._more or (leader == _UNKNOWN).any():
+            # positions alone do not say who leads whom
+            columns["leader"], about = _named(leader, {_FREE: NOBODY}), replace(about, view="end", leaders="given")
         return assemble(columns, about, checked=False)
+
+
+def _named(number: NDArray[Any], names: dict[int, str]) -> Labels:
+    """Names of things that have numbers (R,): those of ``names``, or the number; none below 0."""
+    known, code = np.unique(number.astype(np.int64), return_inverse=True)
+    is_named = np.array([one >= 0 or one in names for one in known.tolist()])
+    return labels(np.where(is_named[code], code, -1).astype(np.int32), [names.get(n, str(n)) for n in known.tolist()])
 
 
 def _is_bag(head: bytes, path: Path) -> bool:

@@ -1,7 +1,7 @@
 """Tables: text (CSV with any separator, or aligned by spaces), Parquet and data frames; chosen columns as arrays."""
 
 import csv
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,8 +18,9 @@ from sugiyama_ros.trajectories.labels import Labels, labels, plain_text, without
 
 #: Most rows of a table: 40 million take about 4 GB as tracks.
 MAX_ROWS = 40_000_000
-#: Texts that say that a value is missing.
-MISSING = ("", "nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None", "inf", "-inf")
+# Texts that say that a value is missing; an infinite number is missing too, unless it is asked for.
+_MISSING = ("", "nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None")
+_NO_VALUE = (*_MISSING, "inf", "-inf")
 _BLOCK = 1 << 21
 _PARQUET = b"PAR1"
 _SPACES = " "
@@ -89,17 +90,22 @@ def head_of(path: Path) -> bytes:
 
 
 def read_sheet(
-    sheet: Sheet, numbers: set[str], texts: set[str], times: Mapping[str, float] | None = None
+    sheet: Sheet,
+    numbers: set[str],
+    texts: set[str],
+    times: Mapping[str, float] | None = None,
+    infinite: Collection[str] = (),
 ) -> dict[str, Array | Labels]:
     """Read some columns.
 
     times: names of the columns to read as times [s], and what their numbers count [s]; dates, clocks and columns with a
-    type of times are seconds in any case. Raises InputError.
+    type of times are seconds in any case; infinite: names of the columns whose numbers may be infinite; elsewhere, such
+    a number is missing. Raises InputError.
     """
     import pyarrow
 
     times = dict(times or {})
-    wanted = _Wanted(numbers - set(times), texts - set(times), times)
+    wanted = _Wanted(numbers - set(times), texts - set(times), times, infinite)
     # One row does not tell how numbers are written: all rows must fit one way.
     ways = [(".", False), (",", False)] + [(".", True), (",", True)] * bool(times)
     reason = ""
@@ -122,6 +128,7 @@ class _Wanted:
     numbers: set[str]
     texts: set[str]
     times: Mapping[str, float]
+    infinite: Collection[str]
     decimal: str = "."
     as_text: bool = False
 
@@ -137,7 +144,7 @@ def _gathered(sheet: Sheet, wanted: _Wanted) -> dict[str, Array | Labels]:
     else:
         batches = _parquet_batches(sheet, wanted.names) if sheet.is_parquet else _text_batches(sheet, wanted)
     columns: dict[str, _Numbers | _Times | _Texts] = {
-        **{name: _Numbers(name) for name in wanted.numbers},
+        **{name: _Numbers(name, name in wanted.infinite) for name in wanted.numbers},
         **{name: _Times(name, factor) for name, factor in wanted.times.items()},
         **{name: _Texts() for name in wanted.texts},
     }
@@ -160,8 +167,8 @@ class _NotSuchError(ValueError):
 class _Numbers:
     """A column of numbers, gathered from batches of Arrow, which are let go."""
 
-    def __init__(self, name: str) -> None:
-        self._name = name
+    def __init__(self, name: str, may_be_infinite: bool = False) -> None:
+        self._name, self._may_be_infinite = name, may_be_infinite
         self._parts: list[Array] = []
 
     def add(self, column: Any) -> None:
@@ -192,7 +199,10 @@ class _Numbers:
 
     def whole(self) -> Array:
         """The column, (R,), NaN where missing."""
-        return np.concatenate(self._parts)
+        column = np.concatenate(self._parts)
+        if not self._may_be_infinite:
+            column[np.isinf(column)] = np.nan
+        return column
 
 
 class _Times:
@@ -228,7 +238,7 @@ class _Times:
             with np.errstate(over="ignore"):
                 return self._numbers.whole() * self._factor
         column = self._texts.coded()
-        texts = [one if one not in MISSING else "nan" for one in column.text]
+        texts = [one if one not in _NO_VALUE else "nan" for one in column.text]
         time, bad = times_of(texts)
         if bad:
             raise _NotSuchError(f"column {self._name}: {bad[:40]!r} is not a time; give {FORMS}")
@@ -255,7 +265,7 @@ class _Texts:
         if not (kind.is_floating(texts.type) or kind.is_integer(texts.type)):
             texts = texts.cast(pyarrow.string())
         names = ["" if one is None or one != one else plain_text(one) for one in texts.to_pylist()]
-        place = [-1 if one in MISSING else self._place.setdefault(one, len(self._place)) for one in names]
+        place = [-1 if one in _NO_VALUE else self._place.setdefault(one, len(self._place)) for one in names]
         self._parts.append(np.array([*place, -1], dtype=np.int32)[_codes(column)])
 
     def coded(self) -> Labels:
@@ -298,7 +308,7 @@ def _text_batches(sheet: Sheet, wanted: _Wanted) -> Iterator[Any]:
     convert = arrow_csv.ConvertOptions(
         include_columns=wanted.names,
         column_types=types,
-        null_values=list(MISSING),
+        null_values=list(_MISSING),
         strings_can_be_null=True,
         decimal_point=wanted.decimal,
     )
@@ -382,7 +392,7 @@ def _first_bad(sheet: Sheet, wanted: _Wanted) -> InputError | None:
             if len(fields) != len(sheet.names):
                 return InputError(f"{where}: {len(fields)} fields, but {len(sheet.names)} columns; correct the line")
             for name, text in zip(sheet.names, (one.strip() for one in fields), strict=True):
-                if name in wanted.times and text not in MISSING and seconds_of(text) is None:
+                if name in wanted.times and text not in _NO_VALUE and seconds_of(text) is None:
                     return InputError(f"{where}: column {name}: {text[:40]!r} is not a time; give {FORMS}")
                 if name not in wanted.numbers:
                     continue
@@ -399,7 +409,7 @@ def is_number(text: str, decimals: str = ".") -> bool:
 
 
 def _is_number(text: str, decimal: str) -> bool:
-    if text in MISSING:
+    if text in _MISSING:
         return True
     if "_" in text or (decimal == "," and "." in text):
         return False
@@ -411,7 +421,7 @@ def _is_number(text: str, decimal: str) -> bool:
 
 
 def _float(text: str, decimal: str) -> float:
-    return np.nan if text in MISSING else float(text.replace(decimal, "."))
+    return np.nan if text in _MISSING else float(text.replace(decimal, "."))
 
 
 def _plain(name: str) -> str:

@@ -12,7 +12,7 @@ from sugiyama_ros.formats.format import Format
 from sugiyama_ros.formats.sheet import head_of, read_sheet, sheet_of
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.exchange import about_of, of_columns, to_arrow, write_parquet
-from sugiyama_ros.trajectories.tracks import Tracks
+from sugiyama_ros.trajectories.tracks import INFINITE, Tracks
 
 
 def _read_tracks_parquet(path: Path, choices: Choices) -> Tracks:
@@ -29,7 +29,8 @@ def _read_tracks_parquet(path: Path, choices: Choices) -> Tracks:
     names = {name for name in COLUMNS if name in sheet.names}
     numbers = {name for name in names if is_number(name)}
     # Errors name the file that is read; the tracks keep the name of their source.
-    tracks = of_columns(dict(read_sheet(sheet, numbers, names - numbers)), replace(about, source=str(path)))
+    columns = read_sheet(sheet, numbers, names - numbers, infinite=INFINITE)
+    tracks = of_columns(dict(columns), replace(about, source=str(path)))
     return replace(tracks, about=replace(tracks.about, source=about.source))
 
 

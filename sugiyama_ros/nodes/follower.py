@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Array
+from sugiyama_ros.filters.chain import NO_LINE
 from sugiyama_ros.filters.first_look import steps_between
 from sugiyama_ros.filters.online import NOBODY, Estimate, Learnt, OnlineFilter
 from sugiyama_ros.nodes.base.cdr_messages import NS
@@ -49,6 +50,7 @@ class _Past(NamedTuple):
     stamp_ns: int | None
     missing_in_a_row: int
     chain: list[int]
+    shift_m: list[float]
     behind: int
 
 
@@ -76,6 +78,9 @@ class Follower:
         self.stamp_ns: int | None = None
         self.missing_in_a_row = 0
         self._chain: list[int] = []
+        # what to add to the positions of the chain [m], and the line of the last sample
+        self._shift_m: list[float] = []
+        self._line = NO_LINE
         self._behind = -1
         self._length_m: dict[int, float] = {}
         self._past: deque[_Past] = deque()
@@ -92,7 +97,7 @@ class Follower:
             self._seen = Kept(self.filter.learnt, self.stamp_ns)
         self.stamp_ns = None
         self.missing_in_a_row = 0
-        self._chain = []
+        self._chain, self._shift_m, self._line = [], [], NO_LINE
         self._behind = -1
         self._length_m = {}
         self._past.clear()
@@ -120,7 +125,7 @@ class Follower:
         before = later[0]
         self.filter.restore(before.filter_)
         self.stamp_ns, self.missing_in_a_row = before.stamp_ns, before.missing_in_a_row
-        self._chain, self._behind = before.chain, before.behind
+        self._chain, self._shift_m, self._behind = before.chain, before.shift_m, before.behind
         counted = self._counts["missing"], self._counts["skipped"]
         estimate = self.follow(sample)
         for past in later:
@@ -153,14 +158,16 @@ class Follower:
         return path
 
     def _path(self, now: Estimate, stamp_ns: int, ahead_s: float) -> Prediction:
-        """Let the filter go on without samples."""
+        """Let the filter go on without samples. The line stays where it is, and its times pass."""
         filter_, chain = self.filter, self._chain
+        place, arrive_s, clear_s, curvature = self._line
         length_m = [self._length_m.get(vehicle, 0.0) for vehicle in chain]
         time_s = np.asarray(filter_.period_s * np.arange(round(ahead_s / filter_.period_s) + 1), np.float64)
         states = [now]
         for after_s in time_s[1:].tolist():
             at_s = stamp_ns / NS + after_s
-            states.append(filter_.step([nan] * len(chain), chain, length_m, at_s, (nan, -1, 0.0)))
+            line = place, arrive_s - after_s, clear_s - after_s, curvature
+            states.append(filter_.step([nan] * len(chain), chain, length_m, at_s, (nan, -1, 0.0), line=line))
         position = np.array([state.position_m for state in states])
         steps: Array = np.diff(position)
         if filter_.road.is_ring:
@@ -176,7 +183,8 @@ class Follower:
     def _keep_what_is_known(self, sample: Sample) -> None:
         """Keep what is known before a sample, and forget what is older than any sample may be late."""
         past = self._past
-        past.append(_Past(sample, self.filter.saved(), self.stamp_ns, self.missing_in_a_row, self._chain, self._behind))
+        chain = self._chain, self._shift_m, self._behind
+        past.append(_Past(sample, self.filter.saved(), self.stamp_ns, self.missing_in_a_row, *chain))
         # before the first sample of the window comes the sample at which the window may begin
         while len(past) > 1 and past[1].sample.stamp_ns <= sample.stamp_ns - self._window_ns:
             past.popleft()
@@ -186,6 +194,7 @@ class Follower:
         self.stamp_ns = sample.stamp_ns
         if self.vehicle in sample.place:
             self._chain = sample.chain(self.vehicle, self.filter.vehicles)
+            self._shift_m = sample.shifts(self._chain)
         if not self._chain:
             self.missing_in_a_row += 1
             return UNKNOWN
@@ -195,9 +204,10 @@ class Follower:
         self._counts["missing"] += isnan(position[0])
         if elapsed_s is not None:
             self._counts["skipped"] += steps_between(elapsed_s, self.filter.period_s)[0] - 1
-        behind = self._vehicle_behind(sample)
+        behind, self._line = self._vehicle_behind(sample), sample.line(self.vehicle)
         was_smooth = self.filter.is_smooth
-        estimate = self.filter.step(position, self._chain, length, sample.stamp_ns / NS, behind, elapsed_s)
+        time_s = sample.stamp_ns / NS
+        estimate = self.filter.step(position, self._chain, length, time_s, behind, elapsed_s, self._line)
         if not isfinite(estimate.speed):
             raise DivergedError("the filter has diverged and starts anew; are its effects and parameters sensible?")
         self._recall_if_known(sample.stamp_ns)
@@ -237,7 +247,7 @@ class Follower:
             place, measured = place_of(vehicle), nan
             if place is not None:
                 if isfinite(sample.position_m[place]):
-                    measured = sample.position_m[place]
+                    measured = sample.position_m[place] + self._shift_m[m]
                     if sample.stamp_offset_s:
                         # measured at another time than the sample: where the vehicle is at the time of the sample
                         measured -= sample.stamp_offset_s[place] * self.filter.speed_of(m, vehicle)
@@ -257,7 +267,8 @@ class Follower:
         if place is None:
             return nan, self._behind, self._length_m.get(self._behind, 0.0)
         self._length_m[self._behind] = sample.known_length_m(place)
-        return sample.position_m[place], self._behind, self._length_m[self._behind]
+        shift = sample.leader_shift_m[place] if sample.leader_shift_m else 0.0
+        return sample.position_m[place] - shift, self._behind, self._length_m[self._behind]
 
     def _is_known(self, stamp_ns: int, kept: Kept) -> bool:
         """Whether an earlier run has learnt from the sample: the last samples may be sent once more."""

@@ -21,7 +21,7 @@ from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.dense import DenseTracks, whole_road
 from sugiyama_ros.trajectories.placing import Positions
 from sugiyama_ros.trajectories.time_base import on_time_base, period_of
-from sugiyama_ros.trajectories.tracks import FREE, Tracks
+from sugiyama_ros.trajectories.tracks import FREE, LINE, Tracks
 from sugiyama_ros.trajectories.truth import Truth
 
 # Largest number of a vehicle, which ROS sends in 32 bits.
@@ -80,8 +80,9 @@ class TrackSamples:
         self._number = number[order]
         self._leader = np.where(tracks.leader_row >= 0, ahead, other)[order]
         self._position_m, self._length_m = self.road.wrap(tracks.s_m)[order], tracks.length_m[order]
-        self._lane = _lanes(tracks)[order] if tracks.lane is not None else None
-        self._d_m = None if tracks.d_m is None else tracks.d_m[order]
+        more = {name: getattr(tracks, name) for name in ("d_m", *LINE, "leader_shift_m")}
+        more["lane"] = None if tracks.lane is None else _lanes(tracks)
+        self._more = {name: column[order] for name, column in more.items() if column is not None}
 
     @property
     def drivers_per_s(self) -> float:
@@ -96,8 +97,7 @@ class TrackSamples:
             self._leader[here].tolist(),
             self._position_m[here].tolist(),
             self._length_m[here].tolist(),
-            () if self._lane is None else self._lane[here].tolist(),
-            () if self._d_m is None else self._d_m[here].tolist(),
+            **{name: column[here].tolist() for name, column in self._more.items()},
         )
 
 

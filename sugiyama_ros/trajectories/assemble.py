@@ -58,7 +58,7 @@ def assemble(
     its unit is not known, ``some_speed``, where they are given. Raises InputError.
     """
     table = _table(columns, about or About())
-    for step in (_known, _sorted, _once, *([_in_usual_units] if checked else []), _lives):
+    for step in (_known, _sorted, _once, *([_in_usual_units] if checked else []), _lives, _with_times):
         table = step(table)
     run = _run(table)
     table = _lengths(_speeds(table, run) if checked else table, starts(run))
@@ -268,6 +268,18 @@ def _lives(table: _Table) -> _Table:
     return _sorted(_Table({**text, "vehicle": labels(code.astype(np.int32), names)}, table.number, about))
 
 
+def _with_times(table: _Table) -> _Table:
+    """Leave out lines of which it is not known when others reach and leave the place behind them."""
+    if "line_m" not in table.number:
+        return table
+    line, unknown = table.number["line_m"], np.full(len(table.number["line_m"]), np.nan)
+    timed = ~np.isnan(table.number.get("arrive_s", unknown) + table.number.get("clear_s", unknown))
+    lost = int(np.sum(np.isfinite(line) & ~timed))
+    note = f"lines without arrive_s and clear_s: {lost} rows, which count as rows without a line" * (lost > 0)
+    number = {**table.number, "line_m": np.where(timed, line, np.nan)}
+    return table._replace(number=number, about=table.about.noting(note))
+
+
 def _lengths(table: _Table, start: Ints) -> _Table:
     """One length [m] for each run, repeated for its rows."""
     rows = np.diff(start)
@@ -338,6 +350,10 @@ def _along(table: _Table, run: Ints) -> _Table:
     np.maximum.at(farthest, recording, s)
     note = f"positions decrease along the drive in {100.0 * turned.mean():.3g} % of the rows; they were turned round"
     number = {**table.number, "s_m": np.where(turned, farthest[recording] - s, s)}
+    if "line_m" in number:
+        number["line_m"] = np.where(turned, farthest[recording] - number["line_m"], number["line_m"])
+    if "leader_shift_m" in number:
+        number["leader_shift_m"] = np.where(turned, -number["leader_shift_m"], number["leader_shift_m"])
     return table._replace(number=number, about=about.noting(note))
 
 

@@ -202,6 +202,11 @@ def _leaders(position_m: Array, number: Ints, road: Road) -> Ints:
 def dense(tracks: Tracks, where: str = "") -> DenseTracks:
     """Put tracks of one lane into a dense table; ``where``: name of the file for messages. Raises InputError."""
     where = where or tracks.about.source or "tracks"
+    if own_ways := [name for name in (*LINE, "leader_shift_m") if tracks.column(name) is not None]:
+        raise InputError(
+            f"{where}: has the column {own_ways[0]}, so drivers come to lines or curves of their own, where one lane is"
+            " needed; keep them as tracks, in a .parquet or .csv file"
+        )
     for column, many, option in (
         (tracks.recording, "recordings", "recording"),
         (tracks.road, "roads", "road"),
@@ -262,8 +267,6 @@ def road_of_drivers(tracks: Tracks) -> DenseTracks | None:
 
     Raises InputError as ``whole_road``.
     """
-    if any(tracks.column(name) is not None for name in (*LINE, "leader_shift_m")):
-        return None  # drivers come from several ways, or see more than vehicles
     road = whole_road(tracks)
     return None if road is None or road.controlled else road
 

@@ -43,7 +43,8 @@ class Positions(NamedTuple):
     vehicle, leader: number of the vehicle, and number of its leader: -1 without a leader, -2 where it is not in view;
     position_m, length_m: position [m] (NaN if missing) and length [m]; lane, d_m, stamp_offset_s, position_var: lane,
     position [m] across the road, time [s] at which the vehicle was measured after the sample's own, and variance [m^2]
-    of the position; each is empty where the source does not know it.
+    of the position; line_m, arrive_s, clear_s, curvature_per_m, leader_shift_m: what the driver comes to, and what to
+    add to the leader's position, as in tracks; each is empty where the source does not know it.
     """
 
     vehicle: list[int]
@@ -54,6 +55,15 @@ class Positions(NamedTuple):
     d_m: Sequence[float] = ()
     stamp_offset_s: Sequence[float] = ()
     position_var: Sequence[float] = ()
+    line_m: Sequence[float] = ()
+    arrive_s: Sequence[float] = ()
+    clear_s: Sequence[float] = ()
+    curvature_per_m: Sequence[float] = ()
+    leader_shift_m: Sequence[float] = ()
+
+
+#: What not every source knows of vehicles.
+OPTIONAL = Positions._fields[4:]
 
 
 class OnLane(NamedTuple):

@@ -178,7 +178,7 @@ class _Cutter:
         ahead = np.where(row >= 0, self._tracks.leader_row[row], -1)
         known = (ahead >= 0) & (self._run[ahead] == leader) & (leader >= 0)
         shift, time = np.full(len(row), np.nan), np.arange(len(row))
-        shift[known] = self._tracks.leader_shift_m[row[known]]
+        shift[known] = np.nan_to_num(self._tracks.leader_shift_m[row[known]])
         for run in np.unique(leader[~known & (leader >= 0)]).tolist():
             of = np.flatnonzero(known & (leader == run))
             wanted = ~known & (leader == run)

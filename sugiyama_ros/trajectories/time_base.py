@@ -191,6 +191,9 @@ def resample(tracks: Tracks, period_s: float) -> Tracks:
         kept["vehicle_class" if name == "class" else name] = None if column is None else column[nearest]
     if tracks.d_m is not None:
         kept["d_m"] = np.interp(axis.target, axis.sample, tracks.d_m)
+    for name in ("arrive_s", "clear_s"):  # times that pass
+        if (times := tracks.column(name)) is not None:
+            kept[name] = np.asarray(times)[nearest] - (axis.target - axis.sample[nearest])
     kept |= {"time_s": axis.time_s, "s_m": s}
     new = replace(tracks, **kept, start=starts(tracks.run[nearest]), about=_smoothed(about, own, period_s))  # type: ignore[arg-type]
     if regular or about.leaders == "given":

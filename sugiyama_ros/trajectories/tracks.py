@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 FREE, UNKNOWN = -1, -2
 #: Names of the columns of the road ahead.
 LINE = ("line_m", "arrive_s", "clear_s", "curvature_per_m")
+#: Names of the columns of numbers that may be infinite.
+INFINITE = ("arrive_s", "clear_s")
 #: Names of the columns of text and of numbers, in the order of a file.
 TEXTS = ("recording", "vehicle", "road", "lane", "class", "driver")
 NUMBERS = ("time_s", "s_m", "d_m", "length_m", "width_m", *LINE, "leader_shift_m")
@@ -71,7 +73,7 @@ class Tracks(Result):
         Largest curvature [1/m] of the road just ahead.
     leader_shift_m : ndarray, shape (R,), optional
         What must be added to the leader's ``s_m`` [m] to get their position along the driver's own way, where drivers
-        come from several ways.
+        come from several ways; NaN for nothing.
     controlled : ndarray of bool, shape (R,), optional
         Whether a controller drives the vehicle, the same in all rows of a run. Such a vehicle leads drivers, but has
         none.

@@ -72,7 +72,7 @@ BAD_ROADS = {
 }
 BAD_SAMPLES = {
     "step": sample_of(2**64 - 1),
-    "truncated": GOOD[:-20],
+    "truncated": GOOD[:-60],
     "short": GOOD[:6],
     "big endian": b"\0\0" + GOOD[2:],
     "xcdr2": b"\0\7" + GOOD[2:],
@@ -82,6 +82,8 @@ BAD_SAMPLES = {
     "uneven": sample_of(5, leaders=2),
     "uneven lanes": optional(lane=[1]),
     "uneven variances": optional(position_var=[1.0] * 4),
+    "uneven shifts": optional(leader_shift_m=[1.0]),
+    "lines without times": optional(line_m=[80.0] * 3, arrive_s=[0.0] * 3),
     "a stamp that is no number": optional(stamp_offset_s=[0.0, math.nan, 0.0]),
     "a stamp far away": optional(stamp_offset_s=[0.0, 0.0, 1e9]),
 }

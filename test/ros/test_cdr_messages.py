@@ -10,15 +10,14 @@ from sugiyama_ros.nodes.base import cdr_messages, incoming
 from sugiyama_ros.nodes.base.samples import Sample
 from sugiyama_ros.nodes.source import Markers
 from sugiyama_ros.road import Road
-from sugiyama_ros.trajectories.placing import Positions
-
-OPTIONAL = ("lane", "d_m", "stamp_offset_s", "position_var")
+from sugiyama_ros.trajectories.placing import OPTIONAL, Positions
 
 
 @pytest.mark.parametrize("known", [(), OPTIONAL, *((name,) for name in OPTIONAL), OPTIONAL[1:3]])
 @pytest.mark.parametrize("vehicles", [0, 1, 2, 22])
 def test_measured_positions_there_and_back(vehicles: int, known: tuple[str, ...]) -> None:
     rng = np.random.default_rng(vehicles)
+    known = (*known, "arrive_s", "clear_s") if "line_m" in known else known
     given = {
         name: (rng.integers(0, 9, vehicles) if name == "lane" else rng.uniform(1.0, 2.0, vehicles)).tolist()
         for name in known

@@ -54,8 +54,7 @@ def test_a_message_there_and_back() -> None:
         length_m=np.array([4.0, 5.0]),
         lane=np.array([1, -1], dtype=np.int32),
         d_m=np.array([0.25, -3.5]),
-        stamp_offset_s=np.zeros(0),
-        position_var=np.zeros(0),
+        clear_s=np.array([np.inf, -2.0]),
     )
     decode = decoder(MEASURED, full_text(MEASURED))
     assert decode is not None
@@ -69,8 +68,14 @@ def test_a_message_there_and_back() -> None:
         "length_m": [4.0, 5.0],
         "lane": [1, -1],
         "d_m": [0.25, -3.5],
+        "clear_s": [np.inf, -2.0],
+        # lists that were left out
         "stamp_offset_s": [],
         "position_var": [],
+        "line_m": [],
+        "arrive_s": [],
+        "curvature_per_m": [],
+        "leader_shift_m": [],
     }
     for broken in (data[:-1], data[:30], b"", b"\0\3\0\0" + data[4:]):
         with pytest.raises(ValueError, match=r".") as caught:

@@ -91,8 +91,6 @@ def bag_with(path: Path, vehicles: list[int]) -> Path:
                 leader=np.full(len(vehicles), -1, dtype=np.int32),
                 position_m=np.arange(len(vehicles)) * 20.0 + step,
                 length_m=np.full(len(vehicles), 4.5),
-                **{name: np.empty(0) for name in ("d_m", "stamp_offset_s", "position_var")},
-                lane=np.empty(0, dtype=np.int32),
             )
             bag.write(measured, data, step * 500_000_000, step * 500_000_000)
     return path

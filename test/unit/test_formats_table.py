@@ -10,6 +10,7 @@ from pyarrow import parquet
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices, read_choices
+from sugiyama_ros.formats.convert import convert
 from sugiyama_ros.formats.registry import format_of, read_tracks
 from sugiyama_ros.formats.tracks_parquet import write_tracks
 from sugiyama_ros.trajectories.dense import DenseTracks
@@ -230,3 +231,57 @@ def test_every_file_of_a_folder_is_a_recording(tmp_path: Path) -> None:
     (folder / "three.csv").write_text("a,b\n")
     with pytest.raises(InputError, match=r"three.csv:1: no column"):
         read_tracks(folder)
+
+
+LINES = """\
+vehicle,time_s,s_m,length_m,leader,line_m,arrive_s,clear_s,curvature_per_m,leader_shift_m
+a,0.0,10,4.5,b,60,2.5,4.5,0,-30
+a,0.1,11,4.5,b,60,0,inf,0,-30
+a,0.2,12,4.5,b,60,inf,-0.5,0.02,-30
+a,0.3,13,4.5,free,,,,0.02,
+a,0.4,14,4.5,free,60,3.0,,inf,
+b,0.0,70,4.5,free,,,,,
+b,0.1,71,4.5,free,,,,,
+b,0.2,72,4.5,free,,,,,
+b,0.3,73,4.5,free,,,,,
+b,0.4,74,4.5,free,,,,,
+"""
+
+
+def test_lines_and_shifts_are_read_and_written_as_they_are(tmp_path: Path) -> None:
+    """Times may be infinite. A line without its times is none, and no other number is infinite."""
+    (tmp_path / "lines.csv").write_text(LINES)
+    tracks = read_tracks(tmp_path / "lines.csv")
+    nan, inf = np.nan, np.inf
+    expected = {
+        "line_m": [60, 60, 60, nan, nan],
+        "arrive_s": [2.5, 0, inf, nan, 3.0],
+        "clear_s": [4.5, inf, -0.5, nan, nan],
+        "curvature_per_m": [0, 0, 0.02, 0.02, nan],
+        "leader_shift_m": [-30, -30, -30, nan, nan],
+    }
+    for name, values in expected.items():
+        np.testing.assert_array_equal(tracks.column(name)[:5], values)
+    assert tracks.leader.at(1) == "b"
+    assert "lines without arrive_s and clear_s: 1 rows" in tracks.about.notes[0]
+    for name in ("again.csv", "again.parquet"):
+        write_tracks(tracks, tmp_path / name)
+        again = read_tracks(tmp_path / name)
+        assert again.columns == tracks.columns
+        for column in (*expected, "s_m", "leader_row"):
+            np.testing.assert_array_equal(getattr(again, column), getattr(tracks, column))
+    with pytest.raises(InputError, match=r"one lane is needed; keep them as tracks"):
+        convert(tmp_path / "lines.csv", tmp_path / "one.mcap")
+
+
+def test_where_positions_are_turned_round_lines_and_shifts_are_too(tmp_path: Path) -> None:
+    rows = [line.split(",") for line in LINES.splitlines()]
+    for row in rows[1:]:
+        row[2], row[5] = str(100 - 10 * float(row[2])), str(100 - 10 * float(row[5])) if row[5] else ""
+        row[9] = str(-10 * float(row[9])) if row[9] else ""
+    (tmp_path / "back.csv").write_text("\n".join(map(",".join, rows)))
+    tracks = read_tracks(tmp_path / "back.csv")
+    assert "turned round" in " ".join(tracks.about.notes)
+    np.testing.assert_allclose(tracks.line_m[:3] - tracks.s_m[:3], [500, 490, 480])
+    ahead = tracks.s_m[tracks.leader_row[:3]] + tracks.leader_shift_m[:3]
+    np.testing.assert_allclose(ahead - tracks.s_m[:3], 300)

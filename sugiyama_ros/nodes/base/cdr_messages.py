@@ -58,7 +58,8 @@ def _header(stamp_ns: int) -> Header:
 def measured_positions(stamp_ns: int, step: int, positions: Positions) -> MeasuredPositions:
     """Sample number ``step``."""
     whole = ("vehicle", "leader", "lane")
-    lists = {name: array("i" if name in whole else "d", values) for name, values in positions._asdict().items()}
+    given = {name: values for name, values in positions._asdict().items() if values}
+    lists = {name: array("i" if name in whole else "d", values) for name, values in given.items()}
     return MeasuredPositions(header=_header(stamp_ns), step=step, **lists)
 
 

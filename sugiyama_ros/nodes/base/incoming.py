@@ -9,7 +9,7 @@ import traceback
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, lru_cache, partial
 from importlib import import_module
-from math import isfinite, nan
+from math import isfinite, isnan, nan
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from sugiyama_msgs.msg import Road as RoadMessage
 
 from sugiyama_ros.nodes.base.cdr_messages import NS
 from sugiyama_ros.nodes.base.samples import Sample
+from sugiyama_ros.trajectories.placing import OPTIONAL
 
 #: Steps of a recording, at most; counts of steps stay exact in a double.
 MOST_STEPS = 1 << 53
@@ -103,12 +104,12 @@ def road(raw: bytes) -> RoadMessage:
 def sample(raw: bytes) -> Sample:
     """Decode MeasuredPositions, once for all nodes of a process that get the same bytes.
 
-    An infinite position is a missing one, and a variance that is not a positive number is unknown. Raises RefusedError
-    for arrays of unequal length, numbers below 0, a step that is too large, or a vehicle measured at another time than
-    the sample.
+    An infinite position is a missing one, a variance that is not a positive number is unknown, and a shift that is no
+    number is none. A line without a place or times is none. Raises RefusedError for arrays of unequal length, numbers
+    below 0, a step that is too large, a vehicle measured at another time than the sample, or lines without times.
     """
     message = decoded(raw, MeasuredPositions)
-    lists = ("leader", "position_m", "length_m", "lane", "d_m", "stamp_offset_s", "position_var")
+    lists = ("leader", "position_m", "length_m", *OPTIONAL)
     found = Sample(
         stamp_ns=message.header.stamp.sec * NS + message.header.stamp.nanosec,
         step=message.step,
@@ -123,14 +124,20 @@ def sample(raw: bytes) -> Sample:
         raise RefusedError(f"{min(found.place)} is not the number of a vehicle")
     if found.step >= MOST_STEPS:
         raise RefusedError(f"step {found.step} is more than a recording has")
-    optional = (found.lane, found.d_m, found.stamp_offset_s, found.position_var)
-    if any(len(values) not in (0, count) for values in optional):
+    if any(len(getattr(found, name)) not in (0, count) for name in OPTIONAL):
         raise RefusedError("its arrays differ in length")
+    if found.line_m and not (found.arrive_s and found.clear_s):
+        raise RefusedError("its lines have no times")
     if not all(abs(offset) <= MOST_OFFSET_S for offset in found.stamp_offset_s):
         raise RefusedError(f"a vehicle's stamp is not within {MOST_OFFSET_S:g} s of the header's")
     return found._replace(
         position_m=[p if isfinite(p) else nan for p in found.position_m],
         position_var=[v if isfinite(v) and v > 0.0 else nan for v in found.position_var],
+        line_m=[
+            place if isfinite(place) and not isnan(arrive + clear) else nan
+            for place, arrive, clear in zip(found.line_m, found.arrive_s, found.clear_s, strict=False)
+        ],
+        leader_shift_m=[shift if isfinite(shift) else 0.0 for shift in found.leader_shift_m],
     )
 
 

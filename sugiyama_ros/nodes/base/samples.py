@@ -1,9 +1,11 @@
 """Samples of positions: what a source sends, and what those who follow the vehicles take in."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from math import nan
 from typing import NamedTuple, Protocol
 
+from sugiyama_ros.filters.chain import NO_LINE
 from sugiyama_ros.filters.online import NOBODY
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.placing import Positions
@@ -12,6 +14,15 @@ from sugiyama_ros.trajectories.placing import Positions
 UNKNOWN_LEADER = -2
 #: Length [m] that no vehicle has.
 LONGEST_M = 1000.0
+
+
+class Sight(NamedTuple):
+    """What a driver sees: positions [m] and lengths [m] of a chain of vehicles, the vehicle behind, and the line."""
+
+    position_m: list[float]
+    length_m: list[float]
+    behind: tuple[float, int, float]
+    line: tuple[float, float, float, float]
 
 
 class Sample(NamedTuple):
@@ -27,6 +38,11 @@ class Sample(NamedTuple):
     d_m: Sequence[float] = ()
     stamp_offset_s: Sequence[float] = ()
     position_var: Sequence[float] = ()
+    line_m: Sequence[float] = ()
+    arrive_s: Sequence[float] = ()
+    clear_s: Sequence[float] = ()
+    curvature_per_m: Sequence[float] = ()
+    leader_shift_m: Sequence[float] = ()
 
     def chain(self, vehicle: int, length: int) -> list[int]:
         """``length`` numbers: ``vehicle``, its leader, the leader's leader and so on; -1 where there is none."""
@@ -47,16 +63,51 @@ class Sample(NamedTuple):
         """Number of the vehicle whose leader is ``vehicle``; -1 if there is none."""
         return next((number for number, place in self.place.items() if self.leader[place] == vehicle), -1)
 
-    def sight(self, vehicle: int, chain: Sequence[int]) -> tuple[list[float], list[float], tuple[float, int, float]]:
-        """Positions [m] and lengths [m] of a chain of vehicles, and the vehicle behind, as a filter takes them."""
-        places = [self.place.get(v) for v in chain]
-        position = [nan if p is None else self.position_m[p] for p in places]
-        length = [0.0 if p is None else self.known_length_m(p) for p in places]
+    def shifts(self, chain: Sequence[int]) -> list[float]:
+        """What to add to the positions of a chain of vehicles to get them along the way of the first one [m].
+
+        NaN from where it is not known on: the vehicle before does not follow this one in the sample.
+        """
+        if not self.leader_shift_m:
+            return [0.0] * len(chain)
+        shifts = [0.0]
+        for behind, vehicle in pairwise(chain):
+            place = self.place.get(behind)
+            if place is None or self.leader[place] != vehicle:
+                shifts.append(nan)
+            else:
+                shifts.append(shifts[-1] + self.leader_shift_m[place])
+        return shifts
+
+    def line(self, vehicle: int) -> tuple[float, float, float, float]:
+        """Place [m] of the line that a driver comes to, its two times [s] and curvature [1/m], as a filter takes it."""
+        place = self.place.get(vehicle)
+        if place is None or not (self.line_m or self.curvature_per_m):
+            return NO_LINE
+        curvature = self.curvature_per_m[place] if self.curvature_per_m else nan
+        if not self.line_m:
+            return nan, nan, nan, curvature
+        return self.line_m[place], self.arrive_s[place], self.clear_s[place], curvature
+
+    def rear(self, vehicle: int) -> tuple[float, int, float]:
+        """Position [m] along the way of a vehicle, number and length [m] of whoever follows it."""
         rear = self.behind(vehicle)
         if rear < 0:
-            return position, length, NOBODY
-        p = self.place[rear]
-        return position, length, (self.position_m[p], rear, self.known_length_m(p))
+            return NOBODY
+        place = self.place[rear]
+        shift = self.leader_shift_m[place] if self.leader_shift_m else 0.0
+        return self.position_m[place] - shift, rear, self.known_length_m(place)
+
+    def sight(self, vehicle: int, chain: Sequence[int]) -> Sight:
+        """What the driver of a vehicle sees, as a filter takes it."""
+        places = [self.place.get(v) for v in chain]
+        moved = zip(places, self.shifts(chain), strict=True)
+        return Sight(
+            [nan if p is None else self.position_m[p] + shift for p, shift in moved],
+            [0.0 if p is None else self.known_length_m(p) for p in places],
+            self.rear(vehicle),
+            self.line(vehicle),
+        )
 
 
 class PositionSamples(Protocol):
