@@ -47,6 +47,8 @@ _EVENTS, _RATE_S = 8, 5.0
 _OPEN = 128
 # Entries of the state: position, speed, acceleration.
 _STATE, _SPEED = 3, 1
+# Attention, from 0 to 1, from which on a driver lets others pass.
+_MUCH = 0.5
 _WORDS = {"v_star": "desired speed", "kappa_v": "risk premium"}
 
 
@@ -124,6 +126,9 @@ class View(Node):
         self.learnt: dict[int, Log] = {}
         self.now: dict[int, tuple[float, float]] = {}
         self.lanes: dict[int, int] = {}
+        self.yielding: set[int] = set()
+        # whether drivers come to lines, and to curves
+        self._has_lines = self._has_curves = False
         self.followers: set[int] = set()
         self.here: set[int] = set()
         self.led: set[int] = set()
@@ -238,7 +243,7 @@ class View(Node):
     def _recording(self) -> Extent:
         ring_m = self.road.circumference_m
         duration_s = float(self._road.period_s * self._road.steps) if self._road is not None else 1.0
-        return Extent(0.0, duration_s, ring_m, 0.0, ring_m)
+        return Extent(0.0, duration_s, ring_m, 0.0, ring_m, self._has_lines, self._has_curves)
 
     def _call(
         self, kind: type, services: Sequence[str], request: Any, on_success: Callable[[], None] = lambda: None
@@ -292,11 +297,22 @@ class View(Node):
             self._joined[vehicle].take(_Joined.MEASURED, time_s, sample.position_m[place])
         if sample.lane:
             self.lanes.update({v: sample.lane[p] for v, p in sample.place.items() if sample.lane[p] >= 0})
+        if sample.line_m or sample.curvature_per_m:
+            self._take_lines(sample)
         errors = self._base.follow(sample) if self._base is not None else []
         error = self._base_moving.add(time_s, sum(e * e for e in errors), len(errors))
         self._measured[_milliseconds(time_s)] = {v: sample.position_m[p] for v, p in sample.place.items()}, error
         while len(self._measured) > KEPT:
             self._measured.popitem(last=False)
+
+    def _take_lines(self, sample: Sample) -> None:
+        """Note who lets others pass, and which effects can be added on such a road."""
+        self.yielding = {v for v, (_, speed) in self.now.items() if sample.attention(v, speed) > _MUCH}
+        lines = self._has_lines or any(map(math.isfinite, sample.line_m))
+        curves = self._has_curves or any(one > 0.0 for one in sample.curvature_per_m)
+        if (lines, curves) != (self._has_lines, self._has_curves):
+            self._has_lines, self._has_curves = lines, curves
+            self.effects = _can_be_added(self._recording())
 
     def _meet(self, new: Sequence[int]) -> None:
         """Note vehicles that are seen for the first time, and subscribe to their topics."""

@@ -63,6 +63,8 @@ class Feed(Protocol):
     #: Position [m] and speed [m/s] of each vehicle on the road, and the lane of each whose lane is known.
     now: dict[int, tuple[float, float]]
     lanes: dict[int, int]
+    #: Vehicles whose drivers pay attention to a line now, before which they let others pass.
+    yielding: set[int]
     #: Vehicles in the latest sample, those that have had a leader, and those of whose drivers something is learnt.
     here: set[int]
     led: set[int]

@@ -53,6 +53,7 @@ _OUTSIDE, _ABOVE_PX = 1.14, -14
 # Columns of the logs of a driver.
 _COLUMNS = ("time", "speed", "std", "innovation", "spread", "place")
 _LEARNT = ("time", "v_star", "v_star_std", "kappa_v", "kappa_v_std")
+_ROAD = "The road from above: click a car"
 # What the list of rates calls the fastest rate, which is 0.
 _FASTEST = "max"
 _WIDE = {"sizing_mode": "stretch_width"}
@@ -75,6 +76,7 @@ class _Page:
         self._seen: dict[Log, int] = {}
         self._space, self._error = _source("time", "place", "speed"), _source("time", "error", "base")
         self._road = _source("x", "y", "speed", "vehicle", "number_x", "number_y", "above")
+        self._yielding = _source("x", "y")
         self._lines, self._lines_drawn = _source("xs", "ys"), (math.nan,)
         self._adapted = _source("vehicle", *_PARAMETERS)
         self._driver = _source(*_COLUMNS, "low", "high", "below", "above", "measured")
@@ -141,12 +143,13 @@ class _Page:
         space.scatter("time", "place", source=self._space, size=2,
                       color={"field": "speed", "transform": self._colours})  # fmt: skip
         colour_bar(space, self._colours, "speed [m/s]")
-        road = panel("The road from above: click a car", "x [m]", "y [m]", match_aspect=True,
+        road = panel(_ROAD, "x [m]", "y [m]", match_aspect=True,
                      x_range=DataRange1d(range_padding=0.2))  # fmt: skip
         self._plots["road"] = road
         self._empty |= {"space": space, "road": road}
         road.multi_line("xs", "ys", source=self._lines, color=GREY, line_alpha=0.5)
         cars(road, self._road, self._colours)
+        road.scatter("x", "y", source=self._yielding, size=24, fill_color=None, line_color=VERMILION, line_width=2)
         road.text("number_x", "number_y", text="vehicle", source=self._road, text_font_size="10px", text_color=GREY,
                   text_align="center", text_baseline="middle", y_offset="above",
                   nonselection_text_alpha=1.0)  # fmt: skip
@@ -214,6 +217,8 @@ class _Page:
         feed = self._feed
         if len(self._select.options) != len(feed.vehicles):
             self._select.options = [f"vehicle {v}" for v in feed.vehicles]
+        if len(self._effect.options) != len(feed.effects):  # at the first line, or the first curve
+            self._effect.options = [(name, _title(feed, name)) for name in feed.effects]
         # the lowest number of those who have a leader: the first car of a platoon follows nobody. The order in which
         # topics arrive does not matter.
         here = set(feed.led or feed.followers) & set(feed.here)
@@ -231,6 +236,10 @@ class _Page:
                 "x": x, "y": y, "speed": speed, "vehicle": [str(v) for v in feed.now], "number_x": away * x,
                 "number_y": away * y, "above": np.full(len(x), above),
             }  # fmt: skip
+            yields = np.array([v in feed.yielding for v in feed.now])
+            self._yielding.data = {"x": x[yields], "y": y[yields]}
+            if feed.yielding:  # from the first of them on
+                self._plots["road"].title.text = f"{_ROAD} (in a circle: lets others pass)"
             if (fastest := float(np.nan_to_num(speed).max())) > self._colours.high:  # NaN: not known yet
                 self._colours.high = float(2.0 * math.ceil(fastest / 2.0))  # in steps, so that it rarely changes
             self._show("road")

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -15,6 +15,7 @@ from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.laws.registry import LAWS
 from sugiyama_ros.results import Result, space_time
 from sugiyama_ros.trajectories.dense import DenseTracks
+from sugiyama_ros.trajectories.tracks import LINE, Tracks
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure
@@ -167,9 +168,16 @@ def is_of_law(name: str) -> bool:
     return name in _UTILITY or name.partition(".")[0] in LAWS
 
 
+def _beside_one_another(tracks: Tracks) -> Tracks:
+    """The positions of all vehicles, whichever lanes and ways they are on: as on one lane."""
+    about = replace(tracks.about, view="whole", leaders="found")
+    left_out: dict[str, Any] = dict.fromkeys(("lane", *LINE, "leader_shift_m"))
+    return replace(tracks, about=about, **left_out)
+
+
 def read_recording(path: Path) -> Recording:
     """Read a bag that `sugiyama run` recorded, or a file of trajectories in a bag. Raises InputError."""
-    t = read_tracks(path).dense(str(path))
+    t = _beside_one_another(read_tracks(path)).dense(str(path))
     reading = _Reading(t)
     with Bag(path) as bag:
         model = bag.info().metadata.get("sugiyama", {}).get("model", "")

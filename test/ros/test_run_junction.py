@@ -4,18 +4,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
 from sugiyama_msgs.msg import DriverArray
+from typer.testing import CliRunner
 
 import sugiyama_ros as sg
+from sugiyama_ros.cli.app import app
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.filters.extract import drives
 from sugiyama_ros.filters.online import OnlineFilter
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.nodes.base.samples import Sample
-from sugiyama_ros.nodes.replay import TrackSamples
+from sugiyama_ros.nodes.drivers import DriversNode
+from sugiyama_ros.nodes.replay import Replay, TrackSamples
 from sugiyama_ros.nodes.run import run
+from sugiyama_ros.nodes.view import View
 from sugiyama_ros.road import Road
 from sugiyama_ros.roads.examples import roundabout
 from sugiyama_ros.simulation.junction import JunctionSimulator, demand, simulate_junction
@@ -109,6 +114,25 @@ def chains_of(samples: TrackSamples, vehicle: int, length: int) -> list[list[int
             place = {number: k for k, number in enumerate(now.vehicle)}
             chains.append(Sample(0, step, now.leader, now.position_m, now.length_m, place).chain(vehicle, length))
     return chains
+
+
+def test_a_report_shows_a_junction_and_several_lanes(recorded: Path, tmp_path: Path) -> None:
+    told = CliRunner().invoke(app, ["report", str(recorded), "-o", str(tmp_path / "page.html")])
+    assert told.exit_code == 0, told.output
+
+
+def test_the_node_of_the_live_page_knows_who_lets_others_pass(stage, tracks: Tracks) -> None:
+    about = [Parameter("rate", value=40.0), Parameter("wait_for", value=["/drivers"])]
+    view, replay = View(0.0), Replay(TrackSamples(tracks), parameter_overrides=about)
+    yielded: set[int] = set()
+    stage.add(view, replay, DriversNode())
+
+    def some_have_yielded() -> bool:
+        yielded.update(view.yielding)
+        return len(yielded) > 3
+
+    stage.until(some_have_yielded)
+    assert "ignored_yield" in view.effects
 
 
 def test_a_recording_is_calibrated_as_its_tracks_are(tracks: Tracks, recorded: Path) -> None:

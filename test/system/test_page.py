@@ -568,7 +568,7 @@ def feed_of_a_critic(gains):
     return SimpleNamespace(
         road=Road(60.0), rate=1.0, effects={"drag": "", "second_leader": ""}, titles=titles, said="", space=Log(1),
         error=Log(1), gains=gains, critic=logs, is_settled=False, status=lambda: status, values=lambda name: "",
-        best="second_leader", followers=(), led=(), here=(),
+        best="second_leader", followers=(), led=(), here=(), yielding=(),
         **nobody, **nothing,
     )  # fmt: skip
 
@@ -636,6 +636,23 @@ def test_the_live_page_follows_another_driver_when_its_own_choice_has_left():
     # what the reader has chosen stays
     driver.value = "vehicle 1"
     assert after([3]) == "vehicle 1"
+
+
+def test_the_live_page_circles_drivers_who_let_others_pass_and_offers_effects_that_come_with_lines():
+    feed = feed_of_a_critic({"base": 0.0})
+    feed.driver, feed.learnt = ({v: Log(KEPT) for v in (1, 2)} for _ in range(2))
+    feed.vehicles, feed.here, feed.now, feed.road = [1, 2], {1, 2}, {1: (30.0, 9.0), 2: (20.0, 3.0)}, Road()
+    document = Document()
+    live.page(feed)(document)
+    (effect,) = [s for s in document.select({"type": Select}) if s.title == "effect"]
+    (circles,) = [r for r in document.select({"type": GlyphRenderer}) if getattr(r.glyph, "size", None) == 24]
+    update = document.session_callbacks[0].callback
+    update()
+    assert len(circles.data_source.data["x"]) == 0
+    feed.yielding, feed.effects = {2}, {**feed.effects, "ignored_yield": ""}
+    update()
+    assert list(circles.data_source.data["x"]) == [20.0]
+    assert [name for name, _ in effect.options][-1] == "ignored_yield"
 
 
 def junk(host, port, content):

@@ -2,9 +2,10 @@
 
 from collections.abc import Sequence
 from itertools import pairwise
-from math import nan
+from math import isnan, nan
 from typing import NamedTuple, Protocol
 
+from sugiyama_ros.driver.line import TIME_GAP_S, attention
 from sugiyama_ros.filters.chain import NO_LINE
 from sugiyama_ros.filters.online import NOBODY
 from sugiyama_ros.road import Road
@@ -88,6 +89,15 @@ class Sample(NamedTuple):
         if not self.line_m:
             return nan, nan, nan, curvature
         return self.line_m[place], self.arrive_s[place], self.clear_s[place], curvature
+
+    def attention(self, vehicle: int, speed: float) -> float:
+        """Attention, from 0 to 1, that a driver at a speed [m/s] pays to the line that they come to."""
+        line_m, arrive_s, clear_s, _ = self.line(vehicle)
+        if isnan(line_m) or isnan(speed):
+            return 0.0
+        place = self.place[vehicle]
+        gap = line_m - self.position_m[place] - 0.5 * self.known_length_m(place)
+        return attention(gap, speed, arrive_s, clear_s, TIME_GAP_S)
 
     def rear(self, vehicle: int) -> tuple[float, int, float]:
         """Position [m] along the way of a vehicle, number and length [m] of whoever follows it."""
