@@ -29,7 +29,7 @@ def lane_changes(
         Parameters of the drivers, as of `calibrate`; drivers who are not in it count as the median driver. Without it,
         all have the paper's parameters.
     spans : mapping of int to (float, float), optional
-        Where each lane opens to others, and where it ends [m]; by default all lanes of the tracks, without ends.
+        Where lanes open to others, and where they end [m]; lanes of the tracks that are left out have no ends.
 
     Returns
     -------
@@ -48,10 +48,9 @@ def lane_changes(
     >>> [record["parameter"] for record in found.records()]
     ['lane_rationality', 'politeness', 'change_cost']
     """
-    known = None if spans is None else {int(lane): LaneSpan(*span) for lane, span in spans.items()}
+    known = {int(lane): LaneSpan(*span) for lane, span in (spans or {}).items()}
     if isinstance(tracks, MultilaneRun):
-        known = known or dict(tracks.spans)
-        return fit_lane_changes(tracks.tracks, tracks.start.parameters, known)
+        return fit_lane_changes(tracks.tracks, tracks.start.parameters, {**tracks.spans, **known})
     return fit_lane_changes(tracks, None if calibration is None else _drivers_in(tracks, calibration), known)
 
 

@@ -30,9 +30,9 @@ from sugiyama_ros.jit import kernel
 MANOEUVRES = ("keep", "left", "right")
 KEEP, LEFT, RIGHT = range(3)
 TO_LANE = (0, 1, -1)
-#: Duration [s] of the movement across the road, in which a driver makes no other decision; the mean that Toledo and
-#: Zohar, Transportation Research Record 1999 (2007) 71, report.
-CHANGE_S = 4.6
+#: Duration [s] of the movement across the road, in which a driver makes no other decision. Durations are 5 to 6 s on
+#: average (Toledo and Zohar, Transportation Research Record 1999 (2007) 71).
+CHANGE_S = 5.0
 #: Parameters of a driver's decisions about lanes; they hold for one decision in each reference period.
 LANE_PARAMETERS = (
     Parameter("lane_rationality", "λ_m", "1", 100.0, 0.0, 1e5, "sharpness of the choice among manoeuvres"),
@@ -42,7 +42,7 @@ LANE_PARAMETERS = (
 
 
 class LaneSpan(NamedTuple):
-    """Where a lane is there for drivers of the lanes beside it: from ``opens_m`` [m] to its end ``end_m`` [m]."""
+    """Where drivers can change into a lane and out of it: from ``opens_m`` [m] to its end ``end_m`` [m]."""
 
     opens_m: float = -np.inf
     end_m: float = np.inf
@@ -137,6 +137,7 @@ def see_lanes(on: OnLanes, spans: Mapping[int, LaneSpan]) -> ThreeLanes:
     opens, ends = (np.array([getattr(spans[n], name) for n in numbers])[at] for name in LaneSpan._fields)
     exists = np.array(numbers)[at] == target
     is_open = exists & (on.s_m[:, None] >= opens) & (on.s_m[:, None] < ends)
+    is_open &= is_open[:, [KEEP]]
     is_open[:, KEEP] = True
     end_m = np.where(exists, ends - on.s_m[:, None] - half[:, None], np.inf)
     speeds = [np.where(other >= 0, on.speed[other], 0.0) for other in (ahead, behind)]

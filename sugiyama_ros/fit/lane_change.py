@@ -75,7 +75,7 @@ def decisions_of(tracks: Tracks, spans: Mapping[int, LaneSpan] | None = None) ->
     tracks : Tracks
         Vehicles on numbered lanes of open roads.
     spans : mapping of int to LaneSpan, optional
-        The lanes by their numbers, which grow to the left; without it, all lanes of the tracks, from end to end.
+        Where lanes open and end, by their numbers, which grow to the left; other lanes of the tracks have no ends.
 
     Returns
     -------
@@ -93,10 +93,11 @@ def decisions_of(tracks: Tracks, spans: Mapping[int, LaneSpan] | None = None) ->
     later: Ints = np.minimum(number + every, tracks.start[tracks.run + 1] - 1)
     manoeuvre = np.select([lane[later] - lane == way for way in TO_LANE], range(3), -1)
     is_next = np.abs(tracks.time_s[later] - tracks.time_s - every * period_s) < 0.5 * period_s
-    decides = there & there[later] & is_next & (manoeuvre >= 0) & ~_is_moving(tracks, lane)
+    is_next &= there[later] & (_roads(tracks)[later] == _roads(tracks))
+    decides = there & is_next & (manoeuvre >= 0) & ~_is_moving(tracks, lane)
     decides &= (number - tracks.start[tracks.run]) % every == 0
-    spans = spans or {lane: LaneSpan() for lane in np.unique(lane[there]).tolist()}
-    lanes, row, kept = see_lanes(_on_lanes(tracks, lane, there), spans), number[there], decides[there]
+    known = {name: LaneSpan() for name in np.unique(lane[there]).tolist()} | dict(spans or {})
+    lanes, row, kept = see_lanes(_on_lanes(tracks, lane, there), known), number[there], decides[there]
     can = lanes.can_choose
     kept &= (can.sum(axis=1) > 1) & can[np.arange(len(row)), np.maximum(manoeuvre[row], 0)]
     seen = ThreeLanes(*(field[kept] for field in lanes))  # type: ignore[arg-type]
@@ -128,10 +129,14 @@ def _sampling(tracks: Tracks) -> tuple[float, int]:
     return period_s, max(1, round(REFERENCE_PERIOD_S / period_s))
 
 
+def _roads(tracks: Tracks) -> Ints:
+    """Return the numbers of the roads (R,)."""
+    return np.zeros(len(tracks), dtype=np.int64) if tracks.road is None else tracks.road.code.astype(np.int64)
+
+
 def _groups(tracks: Tracks) -> Ints:
     """Number the recordings, roads and moments (R,)."""
-    road = np.zeros(len(tracks), dtype=np.int64) if tracks.road is None else tracks.road.code.astype(np.int64)
-    columns = np.stack((tracks.recording.code.astype(np.int64), ticks(tracks.time_s), road))
+    columns = np.stack((tracks.recording.code.astype(np.int64), ticks(tracks.time_s), _roads(tracks)))
     return np.asarray(np.unique(columns, axis=1, return_inverse=True)[1].ravel(), dtype=np.int64)
 
 
@@ -146,7 +151,8 @@ def _speeds(tracks: Tracks) -> Array:
 
 def _is_moving(tracks: Tracks, lane: Ints) -> Mask:
     """Whether a driver is on the way across the road (R,): their lane has changed within ``CHANGE_S``."""
-    changed = np.append(False, (np.diff(lane) != 0) & (np.diff(tracks.run) == 0))
+    same = (np.diff(tracks.run) == 0) & (np.diff(_roads(tracks)) == 0)
+    changed = np.append(False, (np.diff(lane) != 0) & same)
     last = np.maximum.accumulate(np.where(changed, np.arange(len(tracks)), -1))
     since = tracks.time_s - tracks.time_s[np.maximum(last, 0)]
     return np.asarray((last >= tracks.start[tracks.run]) & (since < CHANGE_S - 1e-6))
@@ -293,11 +299,10 @@ def fit_lane_changes(
     # IDM with the published constants, and the desired speed of each driver
     law = np.tile([p.default for p in IDM.parameters], (len(rows), 1))
     law[:, 0] = rows[:, V_STAR]
-    can = made.lanes.can_choose
     ours, mobil = lane_features(made.lanes, rows), mobil_features(made.lanes, law)
-    fit = fit_choice(ours, can, made.chosen)
+    fit = fit_choice(ours, made.lanes.can_choose, made.chosen)
     estimate, covariance = lane_parameters_of(fit)
-    loss, rival = (_held_out(features, can, made) for features in (ours, mobil))
+    loss, rival = held_out_loss(ours, made), held_out_loss(mobil, made)
     _, driver = np.unique(made.run, return_inverse=True)
     drivers = int(driver.max()) + 1
     # a driver's decisions are not independent of each other, so that the error is of sums over drivers
@@ -318,13 +323,13 @@ def fit_lane_changes(
     )
 
 
-def _held_out(features: Array, can_choose: Mask, made: Decisions) -> Array:
+def held_out_loss(features: Array, made: Decisions) -> Array:
     """Compute the log-loss (R,) [nats] of each decision by a fit of the drivers of other folds."""
-    loss, fold = np.empty(len(made.chosen)), made.run % FOLDS
+    loss, fold, can = np.empty(len(made.chosen)), made.run % FOLDS, made.lanes.can_choose
     for k in range(FOLDS):
         own = fold == k
         if np.any(own):
-            fit = fit_choice(features[~own], can_choose[~own], made.chosen[~own])
-            log_p = log_probabilities(features[own], fit.weights, can_choose[own])
+            fit = fit_choice(features[~own], can[~own], made.chosen[~own])
+            log_p = log_probabilities(features[own], fit.weights, can[own])
             loss[own] = -log_p[np.arange(int(own.sum())), made.chosen[own]]
     return loss

@@ -153,8 +153,11 @@ def _accelerations(
 
 
 class _State(NamedTuple):
-    """N vehicles during a run: as of ``OnRoad``; old: (N,), lanes from which they
-    came; begun: (N,), periods since then."""
+    """N vehicles during a run.
+
+    noise: (N,), acceleration noises [m/s^2]; old: (N,), lanes from which the vehicles came to their present lanes;
+    begun: (N,), periods since then, at most those of a movement; the rest as of ``OnRoad``.
+    """
 
     s_m: Array
     speed: Array

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import sugiyama_ros as sg
+from benchmarks.lane_changes import manoeuvres_named
 from sugiyama_ros.calibration import lane_changes
 from sugiyama_ros.driver import lane_change
 from sugiyama_ros.driver.lane_change import (
@@ -77,15 +78,12 @@ def test_neighbours_are_the_nearest_on_each_lane():
 
 
 def test_a_lane_is_there_from_where_it_opens_to_its_end():
-    place = np.array([50.0, 150.0, 250.0, 150.0])
-    on = OnLanes(np.arange(4), np.array([1, 1, 1, 0]), place, np.full(4, 8.0), np.full(4, 4.0))
+    place = np.array([50.0, 150.0, 250.0, 150.0, 50.0])
+    on = OnLanes(np.arange(5), np.array([1, 1, 1, 0, 0]), place, np.full(5, 8.0), np.full(5, 4.0))
     lanes = see_lanes(on, {0: LaneSpan(100.0, 200.0), 1: LaneSpan()})
-    assert lanes.is_open.tolist() == [
-        [True, False, False],
-        [True, False, True],
-        [True, False, False],
-        [True, True, False],
-    ]
+    assert lanes.is_open[:3].tolist() == [[True, False, False], [True, False, True], [True, False, False]]
+    # nobody leaves a ramp before it opens
+    assert lanes.is_open[3:].tolist() == [[True, True, False], [True, False, False]]
     assert lanes.end_m[3].tolist() == [48.0, INF, INF]
     assert lanes.end_m[1, RIGHT] == 48.0
 
@@ -210,6 +208,14 @@ def test_simulated_drivers_are_recovered_and_predicted_better_than_by_mobil():
     assert "a gain of" in found[0].headline()
 
 
+def test_drivers_of_a_calibration_serve_as_well_as_the_true_ones():
+    """In the same recording, so that only the errors of the calibration differ."""
+    run = sg.simulate_lane_changes(seed=1)
+    true, calibrated = sg.lane_changes(run), sg.lane_changes(run.tracks, sg.calibrate(run.tracks))
+    assert (np.abs(calibrated.estimate - true.estimate) < true.std).all()
+    assert calibrated.decisions == true.decisions
+
+
 def test_decisions_at_a_higher_rate_are_taken_once_in_a_reference_period():
     """Rows between those of 3 Hz, put in between, change nothing but the rounding of times."""
     tracks = sg.simulate_lane_changes(30, 3, 60.0, parameters={"sigma_x": 0.0}, seed=2).tracks
@@ -245,33 +251,8 @@ def test_what_cannot_be_fitted_is_refused_in_one_line():
         ManoeuvreFilter(0.1, 0.0)
 
 
-def manoeuvres_named(seed, noise_std):
-    """Share of changes that are named before half of the movement, and share of other samples with a change named."""
-    run = sg.simulate_lane_changes(40, 3, 60.0, seed=seed)
-    t, steps = run.tracks, round(60.0 / REFERENCE_PERIOD_S) + 1
-    lane = np.array([int(name) for name in t.lane.text])[t.lane.code]
-    tick = np.round(t.time_s / REFERENCE_PERIOD_S).astype(int)
-    speed = np.gradient(t.s_m.reshape(-1, steps), REFERENCE_PERIOD_S, axis=1).ravel()
-    lanes = see_lanes(OnLanes(tick, lane, t.s_m, speed, t.length_m), run.spans)
-    who = np.array([int(name[1:]) for name in t.vehicle.values()])
-    probability = choose(lanes, run.start.parameters[who], run.start.lane_parameters[who])
-    d_m = t.d_m + np.random.default_rng(seed).normal(0.0, noise_std, len(t))
-    named, truth = np.zeros((2, 40, steps), dtype=int)
-    for i in range(40):
-        one = ManoeuvreFilter(REFERENCE_PERIOD_S, noise_std)
-        for k, row in enumerate(np.flatnonzero(who == i)):
-            named[i, k] = np.argmax(one.step(d_m[row], probability[row]))
-    hits, half, moving = [], round(0.5 * CHANGE_S / REFERENCE_PERIOD_S), round(CHANGE_S / REFERENCE_PERIOD_S)
-    for change in run.changes:
-        k = round(change.time_s / REFERENCE_PERIOD_S)
-        truth[change.vehicle, k : k + moving] = LEFT if change.to_lane > change.from_lane else RIGHT
-        if k + half < steps:
-            own = slice(k, k + half)
-            hits.append(bool(np.any(named[change.vehicle, own] == truth[change.vehicle, own])))
-    return np.mean(hits), np.mean(named[truth == KEEP] != KEEP)
-
-
 def test_the_filter_names_a_manoeuvre_before_half_of_the_movement():
-    early, false = manoeuvres_named(0, 0.1)
-    assert early > 0.8
-    assert false < 0.03
+    """With 0.2 m of noise, in 91 % of the changes, and wrongly in 0.6 % of the samples (docs/lane_changes.md)."""
+    early, false = manoeuvres_named(sg.simulate_lane_changes(40, 3, 60.0, seed=0), 0.2, seed=0)
+    assert early > 0.75
+    assert false < 0.02
