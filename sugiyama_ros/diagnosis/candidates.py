@@ -13,7 +13,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import CONSTANTS, index
 from sugiyama_ros.effects.discovered_force import COVARIATES, KNOTS
-from sugiyama_ros.effects.effect import MEASUREMENT, Effect, Extent
+from sugiyama_ros.effects.effect import ATTENTION, MEASUREMENT, Effect, Extent
 from sugiyama_ros.effects.registry import EFFECTS, MECHANISM, ROW, index_of
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.first_look import SIGMAS
@@ -45,8 +45,9 @@ class Candidate:
     itself, with the entries free; individual: Whether every driver has individual values; switches: Places of the
     strengths of an effect: where all of them are 0, the effect does nothing; drivers: Numbers of the drivers who have
     it; empty for all; is_random: Whether the candidate changes how uncertain a forecast is, and not its mean: noises,
-    and what wanders; elsewhere: Logarithm of the number of places, times and cars among which the start was chosen
-    (look-elsewhere effect).
+    and what wanders; is_decision: Whether it changes what drivers decide to do, go or wait, whose consequences are
+    large however small the change; elsewhere: Logarithm of the number of places, times and cars among which the start
+    was chosen (look-elsewhere effect).
     """
 
     name: str
@@ -58,12 +59,18 @@ class Candidate:
     switches: tuple[int, ...] = ()
     drivers: tuple[int, ...] = ()
     is_random: bool = False
+    is_decision: bool = False
     elsewhere: float = 0.0
 
     @property
     def explains(self) -> bool:
         """Whether the candidate can explain what was missing: it has a physical name."""
         return self.kind in ("effect", "measurement")
+
+    @property
+    def is_judged_at_starts(self) -> bool:
+        """Whether its gain at the starts counts: how the likelihood changes near the model says nothing of it."""
+        return self.is_random or self.is_decision
 
     @property
     def has_sign(self) -> bool:
@@ -121,6 +128,7 @@ def _of_effect(e: Effect, data: Recorded) -> Candidate:
         individual=e.individual,
         switches=switches,
         is_random=e.is_noise or bool(e.wanders),
+        is_decision=e.stage == ATTENTION,
     )
 
 

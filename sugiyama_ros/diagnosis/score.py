@@ -41,7 +41,7 @@ class Score:
     candidate: The candidate; starts: The start at the end of each direction; the same one for all where the
     directions are derivatives; score: Efficient score of each of G blocks of a driver's time. Where ``information``
     is None: gain [nats] at the start, (G, K); information: Information of each block. None for a start that changes
-    noises, whose gain is known there alone, (G, K, K); total: Information of all blocks, less what shared
+    noises or decisions, whose gain is known there alone, (G, K, K); total: Information of all blocks, less what shared
     parameters take up; of each driver for individual values, (K, K) or (N, K, K); driver, time: Numbers of each
     block's driver, among those that were scored, and of its time, (G,); drivers: Number N of drivers that were scored.
     """
@@ -159,10 +159,45 @@ class ScoreOfSome(Score):
         return gain, size, share
 
 
+@dataclass(frozen=True, eq=False)
+class GainOfSome(Score):
+    """The gain at a start of a candidate that only some drivers have; a mixture of two classes, as `ScoreOfSome`."""
+
+    @property
+    def is_by_driver(self) -> bool:
+        """The gain depends on the gain of each driver."""
+        return True
+
+    @property
+    def probability(self) -> Array:
+        """Probability that each driver has it, (N,)."""
+        ratio = self.summed(self.score)[0, :, 0]
+        _, share = self._best(ratio[None])
+        return np.asarray(1.0 / (1.0 + (1.0 - share[0]) / share[0] * np.exp(-np.clip(ratio, -50.0, 50.0))))
+
+    def gains(self, totals: Array) -> Array:
+        """Return the gains (B,) [nats] of the best mixtures, for gains (B, N, 1) of all drivers."""
+        return self._best(totals[:, :, 0])[0]
+
+    def _best(self, ratio: Array) -> tuple[Array, Array]:
+        """Gain and share of drivers of the best mixture, (B,) each; shares are tried, which counts as so many tests."""
+        parts = np.array(_SHARES)[:, None, None]
+        each = np.logaddexp(np.log1p(-parts), np.log(parts) + ratio).sum(axis=2)
+        best = np.argmax(each, axis=0)
+        return np.max(each, axis=0) - np.log(len(_SHARES)), np.array(_SHARES)[best]
+
+
 def of_some(score: Score) -> Iterator[Score]:
     """Yield the score of a candidate that only some drivers have, along each direction of its score."""
     candidate = score.candidate
-    if score.information is None or candidate.individual or candidate.kind != "effect" or score.drivers < _FEWEST:
+    if candidate.individual or candidate.is_random or candidate.kind != "effect" or score.drivers < _FEWEST:
+        return
+    if score.information is None:
+        named = replace(candidate, name=candidate.name + OF_SOME)
+        some = GainOfSome(named, score.starts, score.score, None, score.total, score.driver, score.time, score.drivers)
+        who = tuple(np.flatnonzero(some.probability > 0.5).tolist())
+        if 0 < len(who) < score.drivers:
+            yield replace(some, candidate=replace(named, drivers=who))
         return
     per_driver = np.zeros((score.drivers, *score.total.shape))
     np.add.at(per_driver, score.driver, score.information)
@@ -246,7 +281,7 @@ def _directions(
             (*column(fitted.samples.of(i), at.of(i), step, model.rows[i])[:2], no_density(data.samples))
             for i in drivers
         ]
-        yield _Direction(c, start, columns, group, (model, at) if c.is_random and start else None)
+        yield _Direction(c, start, columns, group, (model, at) if c.is_judged_at_starts and start else None)
     zeros = no_density(data.samples)
     for force, changes in forces(data, fitted, work) if with_forces else ():
         for change in changes:
@@ -265,7 +300,7 @@ def _probes(data: Recorded, model: Model, c: Candidate) -> Iterator[_Probe]:
                 yield _Probe(c, {}, replace(with_candidate(model, c, {}), rows=rows), step, (c.name,))
             continue
         alone = [k for k in c.strengths if np.any(start[k])]
-        if c.is_random or not alone:
+        if c.is_judged_at_starts or not alone:
             yield _Probe(c, start, with_candidate(model, c, start), 1.0, (c.name, number))
             continue
         where = tuple(repr(v) for place, v in start.items() if place not in c.strengths)

@@ -21,7 +21,6 @@ EFFECT = Effect(
     source="paper, section 7 (merging and roundabouts); the form is this package's: 1 - share is a yield weight",
     parameters=(Parameter("share", "q_y", "1", 0.0, -2.0, 1.0, "part of the attention that is lacking"),),
     starts=at_lines({"share": 0.5}, {"share": 0.98}),
-    individual=True,
     function=_attend,
     least={"share": 0.0},
 )
