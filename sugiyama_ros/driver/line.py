@@ -4,8 +4,8 @@ A line stands where lanes meet, and at a signal. It is a virtual leader: a vehic
 driver pays attention to it while somebody who goes first would be in the way: the attention, from 0 to 1, is the weight
 of the line's collision penalty beside the penalty of the leader (paper, sections 3.2 and 7).
 
-The times of arrival are compared as in the theory of gap acceptance. The driver needs some time to the line, at a
-comfortable acceleration. Who goes first is in the way if they reach the place behind the line earlier than
+The times of arrival are compared as in the theory of gap acceptance. The driver can be at the line after some time, at
+the largest acceleration. Who goes first is in the way if they reach the place behind the line earlier than
 ``TIME_GAP_S`` after that, and leave it later than that. A driver who can no longer stop goes on.
 
 References
@@ -21,10 +21,12 @@ from sugiyama_ros.jit import kernel
 #: Time [s] that a driver needs free, from the line on, before somebody who goes first. Critical headways of single-lane
 #: roundabouts and of minor roads are 4 to 5 s.
 TIME_GAP_S = 4.0
-#: Acceleration [m/s^2] at which a driver reckons to reach the line.
-_COMFORTABLE = 1.5
-# Times [s] within which attention comes and goes, and the share of the hardest braking for a line that comes too late.
-_SOFT_S, _SOFT_BRAKING = 0.3, 0.1
+#: Time [s] within which attention comes and goes.
+SOFT_S = 0.3
+# Share of the hardest braking within which attention goes from a line that comes too late.
+_SOFT_BRAKING = 0.1
+# Largest acceleration and hardest braking [m/s^2] of the driver model.
+_FASTEST: float = float(ACTIONS[-1])
 _HARDEST: float = -float(ACTIONS[0])
 
 
@@ -37,11 +39,17 @@ def smooth_step(x: float) -> float:
 
 
 @kernel
-def time_to_line(gap: float, speed: float) -> float:
-    """Compute the time [s] that a driver reckons to need to a line, at a comfortable acceleration."""
-    if gap <= 0.0:
+def time_over(way: float, speed: float, acceleration: float) -> float:
+    """Compute the time [s] in which a vehicle covers a way [m] at an even acceleration [m/s^2]; 0 for none."""
+    if way <= 0.0:
         return 0.0
-    return 2.0 * gap / (max(speed, 0.0) + math.sqrt(speed * speed + 2.0 * _COMFORTABLE * gap))
+    return 2.0 * way / (max(speed, 0.0) + math.sqrt(speed * speed + 2.0 * acceleration * way))
+
+
+@kernel
+def time_to_line(gap: float, speed: float) -> float:
+    """Compute the time [s] after which a driver can be at a line, at the largest acceleration."""
+    return time_over(gap, speed, _FASTEST)
 
 
 @kernel
@@ -54,6 +62,6 @@ def attention(gap: float, speed: float, arrive_s: float, clear_s: float, time_ga
     if not 0.0 < gap < math.inf:
         return 0.0
     needed = time_to_line(gap, speed)
-    in_the_way = smooth_step((needed + time_gap_s - arrive_s) / _SOFT_S) * smooth_step((clear_s - needed) / _SOFT_S)
+    in_the_way = smooth_step((needed + time_gap_s - arrive_s) / SOFT_S) * smooth_step((clear_s - needed) / SOFT_S)
     braking = max(speed, 0.0) ** 2 / (2.0 * gap * _HARDEST)
     return in_the_way * smooth_step((1.0 - braking) / _SOFT_BRAKING)

@@ -11,9 +11,9 @@ from sugiyama_ros.jit import kernel
 @kernel
 def _prefer(v_star: float, kappa_v: float, seen: Seen, p: Array) -> tuple[float, float]:
     """Limit the desired speed [m/s] to the speed at which the lateral acceleration is at its limit."""
-    if seen.curvature * v_star * v_star <= p[0]:
-        return v_star, kappa_v
-    return math.sqrt(p[0] / seen.curvature), kappa_v
+    if seen.curvature * v_star * v_star > p[0]:
+        return math.sqrt(p[0] / seen.curvature), kappa_v
+    return v_star, kappa_v
 
 
 def _starts(recording: Extent) -> tuple[Values, ...]:

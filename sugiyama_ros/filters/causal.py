@@ -81,7 +81,7 @@ _MEASURED = ("position_m", "identity", "length_m", "around")
 
 
 class Observed(NamedTuple):
-    """Recordings of C chains: position, identity, length (C, T, M) and around (C, T, 7), as in ``Chain``.
+    """Recordings of C chains: position, identity, length (C, T, M) and around (C, T, 11), as in ``Chain``.
 
     start_s: (C,) time of the first sample [s]; samples: (C,) number of samples to filter, at most T.
     """

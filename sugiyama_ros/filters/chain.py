@@ -18,7 +18,7 @@ NO_REAR = (math.nan, math.nan, math.nan)
 #: Position [m] of the line ahead, two times [s] and the curvature [1/m] where there is neither a line nor a curve.
 NO_LINE = (math.nan, math.nan, math.nan, math.nan)
 #: What a driver sees besides the chain, as of ``Chain.around``, where there is nothing, and the number of its entries.
-NOTHING_AROUND = (*NO_REAR, *NO_LINE)
+NOTHING_AROUND = (*NO_REAR, *NO_LINE, *NO_LINE)
 AROUND = len(NOTHING_AROUND)
 _WANDERING = tuple(e for e in EFFECTS.values() if e.wanders)
 
@@ -28,9 +28,9 @@ class Chain:
     """What is measured of one driver and of the vehicles ahead, M in all, own first.
 
     position_m: (T, M), NaN where missing; identity: (T, M) number of the vehicle, -1 for none; length_m: (T, M);
-    around: (T, 7) what else the driver sees, NaN where there is none: filtered position [m] and speed [m/s], and length
-    [m], of the vehicle behind; position [m] of the line ahead, and times [s] until who goes first reaches the place
-    behind it and has left it; curvature [1/m] of the road;
+    around: (T, 11) what else there is, NaN for nothing: filtered position [m] and speed [m/s], and length [m], of the
+    vehicle behind; position [m] of the line ahead, times [s] until who goes first reaches the place behind it and has
+    left it, and curvature [1/m] of the road; the same four of the leader;
     start_s: time [s] of the first sample; circumference_m: length of the ring, 0 for an open road.
     """
 

@@ -112,7 +112,7 @@ def divided(drive: Drive, parts: int) -> Drive:
         around[:there, k] = np.interp(samples[:there], times, column)
     # a line is where it is, and between two samples its times pass as time does
     around[:there, 3:] = np.repeat(chain.around[:, 3:], parts, axis=0)[:there]
-    around[:there, 4:6] -= (chain.period_s / parts * (samples[:there] % parts))[:, None]
+    around[:there, [4, 5, 8, 9]] -= (chain.period_s / parts * (samples[:there] % parts))[:, None]
     finer = replace(
         chain,
         position_m=position,

@@ -118,7 +118,7 @@ class ChainStep(NamedTuple):
     time_s: float
     behind: tuple[float, int, float]
     elapsed_s: float | None
-    line: tuple[float, float, float, float]
+    lines: tuple[float, ...]
 
 
 @dataclass(eq=False)

@@ -238,7 +238,7 @@ class OnlineKalman:
     ) -> Estimate:
         """Go on by some periods and take in a sample.
 
-        position_m, identity, length_m: of the vehicles, (M,), as for ``OnlineFilter.step``; around: (7,) what else the
+        position_m, identity, length_m: of the vehicles, (M,), as for ``OnlineFilter.step``; around: (11,) what else the
         driver sees, as of ``Chain.around``; ``NOTHING_AROUND`` where nothing is known; time_s: time of the recording
         [s]; periods: time since the sample before, in periods of the model: one step of ``steps_between``.
         """

@@ -244,6 +244,7 @@ class OnlineFilter:
         behind: tuple[float, int, float] = NOBODY,
         elapsed_s: float | None = None,
         line: tuple[float, float, float, float] = NO_LINE,
+        leader_line: tuple[float, float, float, float] = NO_LINE,
     ) -> Estimate:
         """Go on in time and take in a sample.
 
@@ -253,9 +254,9 @@ class OnlineFilter:
         lengths [m], (M,); time_s: time of the recording [s], for effects that depend on it; behind: position [m],
         number and length [m] of the vehicle behind, where ``looks_back``; elapsed_s: time [s] since the sample before,
         above 0; a period if left out; line: position [m] of the line ahead, times [s] until who goes first reaches the
-        place behind it and has left it, and curvature [1/m] of the road.
+        place behind it and has left it, and curvature [1/m] of the road; leader_line: the same of the leader.
         """
-        sample = ChainStep(position_m, identity, length_m, time_s, behind, elapsed_s, line)
+        sample = ChainStep(position_m, identity, length_m, time_s, behind, elapsed_s, (*line, *leader_line))
         estimate = self._step(sample)
         if self._look is not None:
             self._look.take_in(sample)
@@ -264,13 +265,13 @@ class OnlineFilter:
         return estimate
 
     def _step(self, sample: ChainStep) -> Estimate:
-        position_m, identity, length_m, time_s, behind, elapsed_s, line = sample
+        position_m, identity, length_m, time_s, behind, elapsed_s, lines = sample
         steps, periods = (1, 1.0) if elapsed_s is None else steps_between(elapsed_s, self.period_s)
         for left in range(steps - 1, 0, -1):
             before_s, nowhere = time_s - left * periods * self.period_s, [math.nan] * len(position_m)
             rear = self._rear((math.nan, behind[1], behind[2]), before_s, periods)
-            self.kalman.step(nowhere, identity, length_m, (*rear, *line), before_s, periods)
-        around = *self._rear(behind, time_s, periods), *line
+            self.kalman.step(nowhere, identity, length_m, (*rear, *lines), before_s, periods)
+        around = *self._rear(behind, time_s, periods), *lines
         return self.kalman.step(position_m, identity, length_m, around, time_s, periods)
 
     def _conclude(self, look: FirstLook) -> Estimate | None:

@@ -84,7 +84,7 @@ HEADER = 1 + len(Sizes._fields)
 
 
 class _ChainSample(NamedTuple):
-    """What the filter takes in: position and length (M,) [m], identity (M,), around (7,) as of ``Chain``, and when.
+    """What the filter takes in: position and length (M,) [m], identity (M,), around (11,) as of ``Chain``, and when.
 
     when: (2,) time of the sample [s], and periods since the sample before.
     """

@@ -140,7 +140,7 @@ def _view_of(m: int, state: State, drivers: Drivers) -> int:
 @kernel(allocates=False)
 def _has_line(m: int, step: FilterStep) -> bool:
     """Whether driver m comes to a line before which they may have to wait."""
-    return m == 0 and not math.isnan(step.around[3])
+    return m < 2 and not math.isnan(step.around[3 + 4 * m])
 
 
 @kernel(allocates=False)
@@ -222,9 +222,7 @@ def look_around(work: Array, size: int, point: int) -> None:
 def _surroundings(m: int, step: FilterStep) -> Seen:
     """Return what driver m of a chain sees at the mean of the state."""
     mean, known, scene, parameters = step.state.mean, step.state.known, step.scene, step.drivers.parameters
-    length, around = step.length, step.around
-    last = len(known) - 1
-    x = STATE * m
+    length, around, last, x = step.length, step.around, len(known) - 1, STATE * m
     gap, leader_speed, leader_acceleration = np.inf, 0.0, 0.0
     second_gap, second_speed, rear_gap, rear_speed = np.inf, 0.0, np.inf, 0.0
     if m < last and known[m + 1] == MOVING:
@@ -244,10 +242,11 @@ def _surroundings(m: int, step: FilterStep) -> Seen:
         if scene.circumference_m > 0.0:
             headway -= scene.circumference_m * math.floor(headway / scene.circumference_m)
         rear_gap, rear_speed = headway - 0.5 * (length[m] + around[2]), around[1]
-    line_gap, arrive_s, clear_s = np.inf, np.inf, np.inf
-    curvature = around[6] if m == 0 and not math.isnan(around[6]) else 0.0
+    line, line_gap, arrive_s, clear_s, curvature = 3 + 4 * m, np.inf, np.inf, np.inf, 0.0
+    if m < 2 and not math.isnan(around[line + 3]):
+        curvature = around[line + 3]
     if _has_line(m, step):
-        line_gap, arrive_s, clear_s = around[3] - mean[x] - 0.5 * length[m], around[4], around[5]
+        line_gap, arrive_s, clear_s = around[line] - mean[x] - 0.5 * length[m], around[line + 1], around[line + 2]
     acceleration = mean[x + 3] + parameters[m, RHO] * mean[x + 2]
     # where the chain holds no past: as far as the present accelerations tell
     ago = looks_back(parameters[m])
@@ -297,7 +296,7 @@ def _seen_at(here: Seen, work: Array, m: int, size: int, view: int, step: Filter
         leader_acceleration += leader_rho * (work[look, 4] - work[centre, 4])
     line_gap = here.line_gap
     if _has_line(m, step):
-        own = size - len(step.drivers.adapted) - 1
+        own = size - 1 - (len(step.drivers.adapted) if m == 0 else 0)
         line_gap -= work[look, own] - work[centre, own]
     past = past_gap, past_speed, past_leader_speed
     return with_motion(here, (gap, speed, leader_speed), (acceleration, leader_acceleration), past, line_gap)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints, Mask
-from sugiyama_ros.filters.chain import CHAIN, NO_LINE, Chain
+from sugiyama_ros.filters.chain import CHAIN, NO_LINE, NO_REAR, Chain
 from sugiyama_ros.fit.smooth_positions import (
     Evenness,
 )
@@ -177,7 +177,7 @@ class Recorded:
     @property
     def lines(self) -> Array:
         """The road ahead of each driver, (T, N, 4): position [m] of the line, two times [s] and the curvature [1/m]."""
-        return np.stack([chain.around[:, -len(NO_LINE) :] for chain in self.chains], axis=1)
+        return np.stack([chain.around[:, len(NO_REAR) : -len(NO_LINE)] for chain in self.chains], axis=1)
 
     @property
     def apart_s(self) -> float:

@@ -1,9 +1,9 @@
 """What drivers see of each other on a network: who is ahead on their way, and before which line they let others pass.
 
 A driver sees the next vehicle on their way, and of all lines before which they may have to wait the one that matters:
-the nearest line that asks for their attention, or else the one that comes nearest to it. Times of arrival go by the
-present speeds, as a driver may judge them. Who stands is not on the way; who is on the place behind the line is in the
-way of everybody, whoever goes first by the rule.
+the nearest line that asks for their attention, or else the one that comes nearest to it. Who goes first is expected to
+arrive at a usual acceleration, and to leave at their present speed. Who stands is not on the way; who is on the place
+behind the line is in the way of everybody, whoever goes first by the rule.
 """
 
 import math
@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints, Mask
-from sugiyama_ros.driver.line import TIME_GAP_S, attention, time_to_line
+from sugiyama_ros.driver.line import SOFT_S, TIME_GAP_S, attention, time_over, time_to_line
 from sugiyama_ros.driver.parameters import REFERENCE_HORIZON, REFERENCE_PERIOD_S
 from sugiyama_ros.jit import kernel
 from sugiyama_ros.roads.network import Network, Path
@@ -25,7 +25,8 @@ from sugiyama_ros.trajectories.tracks import LINE, NOBODY, Tracks
 
 #: Way [m] within which a driver looks for lines.
 VIEW_M = 100.0
-# Speed [m/s] below which a vehicle stands.
+# Acceleration [m/s^2] that a driver expects of others who go first, and speed [m/s] below which a vehicle stands.
+_USUAL = 1.5
 _STANDING = 0.3
 # Time [s] after green for which a signal is still seen as one that has turned green.
 _AFTER_GREEN_S = 10.0
@@ -175,9 +176,9 @@ def _met(i: int, c: int, needed: float, now: Moment, ways: RouteLines) -> tuple[
             continue
         if to_enter > 0.0 and _is_held(j, begin + ways.other_enter[c], now, ways):
             continue
-        arrive = time_to_line(to_enter, now.speed[j]) if to_enter > 0.0 else 0.0
+        arrive = time_over(to_enter, now.speed[j], _USUAL)
         leave = to_leave / max(now.speed[j], _STANDING)
-        if leave > needed and not arrive >= first:
+        if leave > needed - 3.0 * SOFT_S and not arrive >= first:
             first, clear = arrive, leave
     return first, clear
 

@@ -191,11 +191,11 @@ class JunctionSimulator:
         self._decide(here)
         rows = self._wandering.next_rows(self._rows)[here]
         own = self.place[here], self.speed[here], self.noise[here]
-        place, speed, self.noise[here] = move(own, self.acceleration[here], rows, self.period_s, self._rng)
+        place, speed, noise = move(own, self.acceleration[here], rows, self.period_s, self._rng)
         # who stands and does not mean to drive stands still, and nobody rolls back, however long they wait
-        rests = own[1] + self.period_s * (self.acceleration[here] - own[2]) <= 0.0
+        rests = own[1] + self.period_s * (self.acceleration[here] - own[2]) <= 1e-9
         self.place[here] = np.where(rests, own[0], np.maximum(place, own[0]))
-        self.speed[here] = np.where(rests, 0.0, np.maximum(speed, 0.0))
+        self.speed[here], self.noise[here] = np.where(rests, 0.0, [np.maximum(speed, 0.0), noise])
         self.time_s += self.period_s
         self.arrived[here] |= self.place[here] + 0.5 * self._length[here] >= self._end[here]
         collisions = self._collisions()

@@ -18,8 +18,8 @@ SHORTEST_STRETCH_S = 5.0
 # Leaders and lanes that last for less than `_FLICKER_S` [s] are ignored; samples within `_AROUND_CHANGE_S` [s] of a
 # driver's own lane change are not scored.
 _FLICKER_S, _AROUND_CHANGE_S = 1.0, 2.0
-# Speed [m/s] below which a vehicle stands, and gap [m] up to which vehicles stand in a queue.
-_STANDING, _QUEUE_M = 0.3, 10.0
+# Speed [m/s] below which a vehicle stands, time [s] over which it is measured, and gap [m] up to which vehicles queue.
+_STANDING, _STOOD_S, _QUEUE_M = 0.5, 0.6, 10.0
 # Part of a stretch in which the leader's leader must be known, for the rest to be left out.
 _MOST = 0.8
 
@@ -34,8 +34,8 @@ class Stretch:
     leader's leader is known throughout, else 2: then nobody knows what the leader reacts to; identity: (T, M), number
     of each vehicle's run in the tracks; -1 where nobody is ahead; length_m: (T, M), lengths [m]; 0 where nobody is
     ahead; behind: (T, 3), run, position [m] and length [m] of the vehicle behind; -1 and NaN where there is none in the
-    tracks; line: (T, 4), the columns of `LINE`, NaN where there is none; scored: (T,), whether the sample says how the
-    driver follows: False around the driver's own lane changes.
+    tracks; line: (T, 8), the columns of `LINE`, and those of the leader, NaN where there is none; scored: (T,), whether
+    the sample says how the driver follows: False around the driver's own lane changes.
     """
 
     recording: str
@@ -156,7 +156,7 @@ class _Cutter:
             identity=np.maximum(identity, -1),
             length_m=np.where(identity >= 0, length, 0.0),
             behind=self._behind(own),
-            line=self._line(own),
+            line=np.hstack([self._line(own), self._line(row[:, 1], position[:, 1])]),
             scored=self._scored(own) & ~self._held(own, position, length),
         )
 
@@ -187,14 +187,17 @@ class _Cutter:
                 shift[wanted] = shift[nearest]
         return shift
 
-    def _line(self, own: Ints) -> Array:
-        """The columns of the road ahead in each row."""
+    def _line(self, row: Ints, position: Array | None = None) -> Array:
+        """The columns of the road ahead in each row; places move with the position [m], along the driver's own way."""
         columns = [getattr(self._tracks, name) for name in LINE]
-        missing = np.full(len(own), np.nan)
-        return np.column_stack([missing if c is None else np.where(own >= 0, c[own], np.nan) for c in columns])
+        missing = np.full(len(row), np.nan)
+        line = np.column_stack([missing if c is None else np.where(row >= 0, c[row], np.nan) for c in columns])
+        if position is not None:
+            line[:, 0] += position - self._tracks.s_m[row]
+        return line
 
     def _held(self, own: Ints, position: Array, length: Array) -> Mask:
-        """Whether the driver has stood for a second behind a vehicle that stands, or before a line that is not free.
+        """Whether the driver stands behind a vehicle that stands, or before a line that is not free.
 
         A car with its brake on does not move, not even at random. It is left out where drivers come to lines, and wait
         for long. What decides it is known before the sample, so that the others stay as likely as they were.
@@ -221,8 +224,8 @@ class _Cutter:
 
 
 def _stands(position: Array, period_s: float) -> Mask:
-    """Whether a vehicle at positions (T,) [m] has been slower than `_STANDING` over the last second."""
-    back = max(1, round(1.0 / period_s))
+    """Whether a vehicle at positions (T,) [m] has stood until each sample."""
+    back = max(1, round(_STOOD_S / period_s))
     way = np.full(len(position), np.inf)
     way[back:] = np.abs(position[back:] - position[:-back])
     return np.asarray(way < _STANDING * period_s * back)

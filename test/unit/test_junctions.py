@@ -65,7 +65,7 @@ def one_lane(signal=None, length_m=400.0):
 def test_the_time_to_a_line_is_that_of_an_even_acceleration():
     gap, speed = 12.0, 3.0
     time = time_to_line(gap, speed)
-    assert speed * time + 0.5 * 1.5 * time**2 == pytest.approx(gap, rel=1e-12)
+    assert speed * time + 0.5 * 4.0 * time**2 == pytest.approx(gap, rel=1e-12)
     assert time_to_line(0.0, speed) == 0.0
 
 
@@ -75,7 +75,7 @@ def test_attention_comes_with_who_goes_first_and_goes_with_them():
     assert attention(*at_line, needed + TIME_GAP_S + 3.0, 20.0, TIME_GAP_S) < 1e-3
     assert attention(*at_line, needed + TIME_GAP_S - 3.0, 20.0, TIME_GAP_S) > 0.999
     # they have left before the driver comes
-    assert attention(40.0, 8.0, 0.5, 1.5, TIME_GAP_S) < 1e-3
+    assert attention(40.0, 8.0, 0.3, 0.9, TIME_GAP_S) < 1e-2
     # nobody can stop any more, or there is no line
     assert attention(3.0, 12.0, 0.0, np.inf, TIME_GAP_S) < 1e-3
     assert attention(np.inf, 8.0, 0.0, np.inf, TIME_GAP_S) == 0.0
@@ -152,7 +152,8 @@ def test_the_online_filter_is_the_batch_filter_at_a_junction():
             chain.identity[k],
             chain.length_m[k],
             chain.start_s + k * chain.period_s,
-            line=tuple(chain.around[k, 3:]),
+            line=tuple(chain.around[k, 3:7]),
+            leader_line=tuple(chain.around[k, 7:]),
         )
         for k in range(len(chain.position_m))
     ]

@@ -24,7 +24,7 @@ def test_a_driver_starts_anew_behind_a_leader_who_has_driven_rounds(turns):
         position_m=np.mod(np.column_stack((own, leader)), _RING_M),
         identity=identity,
         length_m=np.full((samples, 2), 4.0),
-        around=np.full((samples, 7), np.nan),
+        around=np.full((samples, 11), np.nan),
         period_s=period_s,
         start_s=0.0,
         circumference_m=_RING_M,
