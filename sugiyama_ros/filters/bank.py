@@ -8,7 +8,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.effects.effect import Values as Given
 from sugiyama_ros.effects.registry import EFFECTS, ROW, active, effect, switch_on
-from sugiyama_ros.filters.chain import NO_LINE
+from sugiyama_ros.filters.chain import NO_LINES
 from sugiyama_ros.filters.effect_filter import EVERY_S, Sensitivity, values_of
 from sugiyama_ros.filters.online import NOBODY, OnlineFilter
 from sugiyama_ros.road import Road
@@ -150,11 +150,11 @@ class Bank:
         length_m: Sequence[float],
         time_s: float,
         behind: tuple[float, int, float] = NOBODY,
-        line: tuple[float, float, float, float] = NO_LINE,
+        lines: Sequence[float] = NO_LINES,
     ) -> None:
         """Take in a sample of one vehicle and add up all scores; arguments as ``OnlineFilter.step``."""
         variants = self._variants
-        sample = position_m, identity, length_m, time_s, behind, None, line
+        sample = position_m, identity, length_m, time_s, behind, None, lines
         found = [variant.step(vehicle, sample) for variant in variants]
         if all(scored for scored, _ in found):
             for variant, (_, log_likelihood) in zip(variants, found, strict=True):

@@ -17,8 +17,10 @@ CHAIN = 3
 NO_REAR = (math.nan, math.nan, math.nan)
 #: Position [m] of the line ahead, two times [s] and the curvature [1/m] where there is neither a line nor a curve.
 NO_LINE = (math.nan, math.nan, math.nan, math.nan)
+#: The same of a driver and of the leader.
+NO_LINES = (*NO_LINE, *NO_LINE)
 #: What a driver sees besides the chain, as of ``Chain.around``, where there is nothing, and the number of its entries.
-NOTHING_AROUND = (*NO_REAR, *NO_LINE, *NO_LINE)
+NOTHING_AROUND = (*NO_REAR, *NO_LINES)
 AROUND = len(NOTHING_AROUND)
 _WANDERING = tuple(e for e in EFFECTS.values() if e.wanders)
 

@@ -118,7 +118,7 @@ class ChainStep(NamedTuple):
     time_s: float
     behind: tuple[float, int, float]
     elapsed_s: float | None
-    lines: tuple[float, ...]
+    lines: Sequence[float]
 
 
 @dataclass(eq=False)

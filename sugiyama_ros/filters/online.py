@@ -14,7 +14,7 @@ from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.driver.parameters import NAMES, V_STAR, check, population
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.filters.chain import CHAIN, NO_LINE, NO_REAR, NOT_ADAPTED, NOTHING_AROUND, Adaptation
+from sugiyama_ros.filters.chain import CHAIN, NO_LINES, NO_REAR, NOT_ADAPTED, NOTHING_AROUND, Adaptation
 from sugiyama_ros.filters.first_look import NOBODY as NOBODY
 from sugiyama_ros.filters.first_look import SMOOTHED, ChainStep, FirstLook, steps_between
 from sugiyama_ros.filters.kalman import ChainModel, FilterpyKalman, OnlineKalman, chain_model
@@ -243,8 +243,7 @@ class OnlineFilter:
         time_s: float = 0.0,
         behind: tuple[float, int, float] = NOBODY,
         elapsed_s: float | None = None,
-        line: tuple[float, float, float, float] = NO_LINE,
-        leader_line: tuple[float, float, float, float] = NO_LINE,
+        lines: Sequence[float] = NO_LINES,
     ) -> Estimate:
         """Go on in time and take in a sample.
 
@@ -253,10 +252,10 @@ class OnlineFilter:
         position_m: measured positions [m], own first, then the vehicles ahead, (M,); naN where missing; length_m: their
         lengths [m], (M,); time_s: time of the recording [s], for effects that depend on it; behind: position [m],
         number and length [m] of the vehicle behind, where ``looks_back``; elapsed_s: time [s] since the sample before,
-        above 0; a period if left out; line: position [m] of the line ahead, times [s] until who goes first reaches the
-        place behind it and has left it, and curvature [1/m] of the road; leader_line: the same of the leader.
+        above 0; a period if left out; lines: (8,) position [m] of the line ahead, times [s] until who goes first
+        reaches the place behind it and has left it, and curvature [1/m] of the road; the same of the leader.
         """
-        sample = ChainStep(position_m, identity, length_m, time_s, behind, elapsed_s, (*line, *leader_line))
+        sample = ChainStep(position_m, identity, length_m, time_s, behind, elapsed_s, lines)
         estimate = self._step(sample)
         if self._look is not None:
             self._look.take_in(sample)

@@ -110,8 +110,8 @@ class Critic(PacedNode):
         self._bank.forget()
         self._meet_and_leave(sample, self._bank)
         for vehicle, chain in self._chains.items():
-            position, length, behind, line = sample.sight(vehicle, chain)
-            self._bank.step(vehicle, position, chain, length, sample.stamp_ns / NS, behind, line)
+            position, length, behind, lines = sample.sight(vehicle, chain)
+            self._bank.step(vehicle, position, chain, length, sample.stamp_ns / NS, behind, lines)
         if sample.stamp_ns - self._told_ns >= _VERDICT_EVERY_NS or sample.step + 1 == road.steps:
             self._told_ns = sample.stamp_ns
             self._publish(sample, self._bank)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.filters.chain import NO_LINE
+from sugiyama_ros.filters.chain import NO_LINES
 from sugiyama_ros.filters.first_look import steps_between
 from sugiyama_ros.filters.online import NOBODY, Estimate, Learnt, OnlineFilter
 from sugiyama_ros.nodes.base.cdr_messages import NS
@@ -20,6 +20,8 @@ from sugiyama_ros.nodes.keeper import Kept
 AHEAD_S = 5.0
 #: Vehicles in the chain of a filter that predicts a path: what they do reaches the driver within these seconds.
 VEHICLES = 7
+# Which entries of lines are times, which pass.
+_PASSES = np.array([0.0, 1.0, 1.0, 0.0] * 2)
 #: What is published where nothing is known, so that every topic has a message for every step.
 UNKNOWN = Estimate(nan, nan, nan, np.full((3, 3), nan), nan, nan, nan, nan, nan, nan, nan, scored=False)
 
@@ -78,9 +80,9 @@ class Follower:
         self.stamp_ns: int | None = None
         self.missing_in_a_row = 0
         self._chain: list[int] = []
-        # what to add to the positions of the chain [m], and the line of the last sample
+        # what to add to the positions of the chain [m], and the lines of the last sample
         self._shift_m: list[float] = []
-        self._line = NO_LINE
+        self._lines: tuple[float, ...] = NO_LINES
         self._behind = -1
         self._length_m: dict[int, float] = {}
         self._past: deque[_Past] = deque()
@@ -97,7 +99,7 @@ class Follower:
             self._seen = Kept(self.filter.learnt, self.stamp_ns)
         self.stamp_ns = None
         self.missing_in_a_row = 0
-        self._chain, self._shift_m, self._line = [], [], NO_LINE
+        self._chain, self._shift_m, self._lines = [], [], NO_LINES
         self._behind = -1
         self._length_m = {}
         self._past.clear()
@@ -158,16 +160,15 @@ class Follower:
         return path
 
     def _path(self, now: Estimate, stamp_ns: int, ahead_s: float) -> Prediction:
-        """Let the filter go on without samples. The line stays where it is, and its times pass."""
+        """Let the filter go on without samples. Lines stay where they are, and their times pass."""
         filter_, chain = self.filter, self._chain
-        place, arrive_s, clear_s, curvature = self._line
         length_m = [self._length_m.get(vehicle, 0.0) for vehicle in chain]
         time_s = np.asarray(filter_.period_s * np.arange(round(ahead_s / filter_.period_s) + 1), np.float64)
         states = [now]
         for after_s in time_s[1:].tolist():
             at_s = stamp_ns / NS + after_s
-            line = place, arrive_s - after_s, clear_s - after_s, curvature
-            states.append(filter_.step([nan] * len(chain), chain, length_m, at_s, (nan, -1, 0.0), line=line))
+            lines = np.array(self._lines) - after_s * _PASSES
+            states.append(filter_.step([nan] * len(chain), chain, length_m, at_s, (nan, -1, 0.0), lines=lines))
         position = np.array([state.position_m for state in states])
         steps: Array = np.diff(position)
         if filter_.road.is_ring:
@@ -204,10 +205,10 @@ class Follower:
         self._counts["missing"] += isnan(position[0])
         if elapsed_s is not None:
             self._counts["skipped"] += steps_between(elapsed_s, self.filter.period_s)[0] - 1
-        behind, self._line = self._vehicle_behind(sample), sample.line(self.vehicle)
+        behind, self._lines = self._vehicle_behind(sample), sample.lines(self._chain)
         was_smooth = self.filter.is_smooth
         time_s = sample.stamp_ns / NS
-        estimate = self.filter.step(position, self._chain, length, time_s, behind, elapsed_s, self._line)
+        estimate = self.filter.step(position, self._chain, length, time_s, behind, elapsed_s, self._lines)
         if not isfinite(estimate.speed):
             raise DivergedError("the filter has diverged and starts anew; are its effects and parameters sensible?")
         self._recall_if_known(sample.stamp_ns)

@@ -443,10 +443,10 @@ class _BaseModel:
             if vehicle not in self._filters:
                 self._filters[vehicle] = OnlineFilter(self._period_s, self._road, population())
             chain = sample.chain(vehicle, CHAIN)
-            position, length, behind, line = sample.sight(vehicle, chain)
+            position, length, behind, lines = sample.sight(vehicle, chain)
             try:
                 time_s = sample.stamp_ns / NS
-                found = self._filters[vehicle].step(position, chain, length, time_s, behind, line=line)
+                found = self._filters[vehicle].step(position, chain, length, time_s, behind, lines=lines)
             except ArithmeticError:  # nobody drives like this; the filter begins anew
                 del self._filters[vehicle]
                 continue

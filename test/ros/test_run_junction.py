@@ -89,7 +89,7 @@ def test_the_node_gives_the_estimates_of_the_filter_of_recordings(tracks: Tracks
             continue
         filter_ = OnlineFilter(chain.period_s, Road())
         ours = [
-            filter_.step(position, identity, length, time_s, line=tuple(around[3:])).innovation_m
+            filter_.step(position, identity, length, time_s, lines=tuple(around[3:])).innovation_m
             for position, identity, length, time_s, around in zip(
                 chain.position_m,
                 chain.identity,

@@ -18,12 +18,15 @@ LONGEST_M = 1000.0
 
 
 class Sight(NamedTuple):
-    """What a driver sees: positions [m] and lengths [m] of a chain of vehicles, the vehicle behind, and the line."""
+    """What a driver sees: positions [m] and lengths [m] of a chain of vehicles, the vehicle behind, and lines.
+
+    lines: (8,), as ``OnlineFilter.step`` takes them.
+    """
 
     position_m: list[float]
     length_m: list[float]
     behind: tuple[float, int, float]
-    line: tuple[float, float, float, float]
+    lines: tuple[float, ...]
 
 
 class Sample(NamedTuple):
@@ -90,6 +93,14 @@ class Sample(NamedTuple):
             return nan, nan, nan, curvature
         return self.line_m[place], self.arrive_s[place], self.clear_s[place], curvature
 
+    def lines(self, chain: Sequence[int]) -> tuple[float, ...]:
+        """The line of a driver and the line of the leader, along the driver's own way, as a filter takes them."""
+        own = self.line(chain[0])
+        if len(chain) < 2 or chain[1] < 0:
+            return (*own, *NO_LINE)
+        line_m, *rest = self.line(chain[1])
+        return (*own, line_m + self.shifts(chain)[1], *rest)
+
     def attention(self, vehicle: int, speed: float) -> float:
         """Attention, from 0 to 1, that a driver at a speed [m/s] pays to the line that they come to."""
         line_m, arrive_s, clear_s, _ = self.line(vehicle)
@@ -116,7 +127,7 @@ class Sample(NamedTuple):
             [nan if p is None else self.position_m[p] + shift for p, shift in moved],
             [0.0 if p is None else self.known_length_m(p) for p in places],
             self.rear(vehicle),
-            self.line(vehicle),
+            self.lines(chain),
         )
 
 
