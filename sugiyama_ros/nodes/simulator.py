@@ -20,11 +20,19 @@ from sugiyama_ros.nodes.base.incoming import RefusedError
 from sugiyama_ros.nodes.base.node import ERROR, Health
 from sugiyama_ros.nodes.base.parameters import declare_driver
 from sugiyama_ros.nodes.source import Source, TrueTopics, answer
-from sugiyama_ros.simulation.experiment import Experiment, changed, set_up
+from sugiyama_ros.road import Road
+from sugiyama_ros.roads.examples import roundabout
+from sugiyama_ros.simulation.experiment import Experiment, changed, set_up, spread_out
+from sugiyama_ros.simulation.junction import JunctionSimulator, demand
 from sugiyama_ros.simulation.result import parameters_of
-from sugiyama_ros.simulation.simulator import Simulator
+from sugiyama_ros.simulation.simulator import Clock, Simulator
 from sugiyama_ros.trajectories.placing import Positions
+from sugiyama_ros.trajectories.tracks import LINE
 from sugiyama_ros.trajectories.truth import TrueDriver
+
+# Scenes, and vehicles per hour that come to a roundabout.
+_ROAD, _ROUNDABOUT = "road", "roundabout"
+_PER_HOUR = 900.0
 
 
 class _SimulatedPositions:
@@ -53,16 +61,59 @@ class _SimulatedPositions:
         return np.stack([s.road.wrap(s.position_m), s.speed, s.acceleration, s.gap_m], axis=1)
 
 
+class _SimulatedJunction:
+    """A running simulation of a junction as samples: vehicles come in, let others pass, and leave.
+
+    It ends after a number of steps, or where none is given, when the last vehicle has left: before, ``steps`` is 0.
+    """
+
+    start_s = 0.0
+    source = "adaptiveSeek"
+    sha256 = ""
+
+    def __init__(self, simulator: JunctionSimulator, steps: int) -> None:
+        self.simulator = simulator
+        self.road, self.period_s = Road(), simulator.period_s
+        self.controlled: Sequence[int] = ()
+        self.steps, self.collisions, self._step = steps, 0, 0
+
+    def at(self, step: int) -> Positions:
+        """Sample number ``step``, which is the current sample or the next."""
+        s = self.simulator
+        if step > self._step:
+            self.collisions += len(s.step())
+            self._step = step
+        here, (leader, shift, line) = s.on_road, s.see()
+        if not self.steps and s.entered.all() and not len(here):
+            self.steps = step + 1
+        position = s.measure().tolist() if len(here) else []
+        lines = dict(zip(LINE, line.T.tolist(), strict=True))
+        return Positions(
+            here.tolist(), leader.tolist(), position, s.length_m[here].tolist(), **lines, leader_shift_m=shift.tolist()
+        )
+
+    def motion(self) -> Array:
+        """True motion of each vehicle, (N, 4), as of a simulated road; NaN for those who are not there."""
+        s, here = self.simulator, self.simulator.on_road
+        leader, shift, _ = s.see()
+        gap = s.place[leader] + shift - s.place[here] - 0.5 * (s.length_m[leader] + s.length_m[here])
+        motion = np.full((len(s.length_m), 4), np.nan)
+        gap = np.where(leader >= 0, gap, np.inf)
+        motion[here] = np.stack([s.place[here], s.speed[here], s.acceleration[here], gap], axis=1)
+        return motion
+
+
 class SimulatorNode(Source):
     """Simulates drivers, and sends the positions that a camera would measure, and the truth.
 
     The drivers are those of the file ``model``, or else drivers as in the paper. A parameter of a driver that is given
     at the start, or set later, holds for all drivers; the service ``~/set_driver`` changes one of them. Other
     parameters of the node: ``vehicles``, ``ring``, ``start``, ``start_gap``, ``lengths``, ``period``, ``duration``,
-    ``spread``, ``effects``, ``seed``, ``controlled``, ``controller``, and the parameters of `Source`.
+    ``spread``, ``effects``, ``seed``, ``controlled``, ``controller``, and the parameters of `Source`. With the
+    ``scene`` roundabout, the vehicles come in on its arms, at random; how they stand at the start has no meaning there.
     """
 
-    samples: _SimulatedPositions
+    samples: _SimulatedPositions | _SimulatedJunction
 
     def __init__(self, **options: Any) -> None:
         super().__init__("simulator", **options)
@@ -71,9 +122,12 @@ class SimulatorNode(Source):
         self.create_service(SetDriver, "~/set_driver", self._on_set_driver)
         self.add_post_set_parameters_callback(self._on_set)
 
-    def open(self) -> _SimulatedPositions:
+    def open(self) -> _SimulatedPositions | _SimulatedJunction:
         """A simulation with the node's parameters."""
         option = self.option
+        scene = option("scene", _ROAD, f"{_ROAD}, or {_ROUNDABOUT}: vehicles come in, let others pass, and leave")
+        if scene not in (_ROAD, _ROUNDABOUT):
+            raise InputError(f"scene: {scene} is not known; give {_ROAD} or {_ROUNDABOUT}")
         vehicles = option("vehicles", 22, "number of vehicles", (1, 1000))
         lengths = option("lengths", [0.0], "length of each vehicle, or of all [m]; 0: the usual")
         given = tuple(float(length) for length in lengths)
@@ -97,6 +151,10 @@ class SimulatorNode(Source):
         controller = option("controller", "", "NAME[:KEY=VALUE[,...]]: what drives the controlled vehicles")
         controlled = controlled_by([v for v in numbers if v >= 0] or None, controller or None)
         steps = experiment.samples if experiment.duration_s else 0
+        if scene == _ROUNDABOUT:
+            if controlled is not None:
+                raise InputError("controlled: drivers alone come to a roundabout; leave it out, or the scene")
+            return _SimulatedJunction(_on_roundabout(experiment, rows), steps)
         return _SimulatedPositions(set_up(experiment, rows, controlled), steps)
 
     def send_more(self, stamp_ns: int) -> None:
@@ -136,7 +194,7 @@ class SimulatorNode(Source):
         try:
             if not 0 <= vehicle < len(s.length_m):
                 raise RefusedError(f"vehicle {vehicle}: not on the road; give 0 to {len(s.length_m) - 1}")
-            if vehicle in s.controlled:
+            if vehicle in self.samples.controlled:
                 raise RefusedError(f"vehicle {vehicle}: a controller drives it; give the number of a driver")
             values = incoming.named_values(f"vehicle {vehicle}", request.name, request.value)
             rows = s.drivers.copy()
@@ -153,6 +211,15 @@ class SimulatorNode(Source):
         for vehicle in set(vehicles) - set(self.samples.controlled):
             drive = TrueDriver(time_s, vehicle, parameters_of(self.samples.simulator.drivers[vehicle]))
             self._truth.send_parameters(round(time_s * NS), drive)
+
+
+def _on_roundabout(experiment: Experiment, rows: Array) -> JunctionSimulator:
+    """Let drivers with rows (N, width) come to a roundabout, on all ways through it alike."""
+    rng, network = np.random.default_rng(experiment.seed), roundabout()
+    spread_out(rows, experiment.spread, rng)
+    paths = network.ways()
+    come = demand([_PER_HOUR / len(paths)] * len(paths), rows, rng)
+    return JunctionSimulator(network, paths, come, rng, Clock(experiment.period_s))
 
 
 def _changed_driver(row: Array, values: Mapping[str, float]) -> Array:

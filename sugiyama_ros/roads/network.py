@@ -470,6 +470,17 @@ class Network(Result):
         """
         return Path(self, [self.number(one, "route") if isinstance(one, str) else one for one in route])
 
+    def ways(self) -> list[Path]:
+        """Return all paths from a lane that none leads to, to a lane that leads nowhere, through no lane twice."""
+        begun: list[list[int]] = [[k] for k in range(len(self.lanes)) if not self.before[k]]
+        found = []
+        while begun:
+            route = begun.pop()
+            if not self.after[route[-1]]:
+                found.append(self.path(route))
+            begun += [[*route, k] for k in self.after[route[-1]] if k not in route]
+        return sorted(found, key=lambda path: path.lanes)
+
     def headline(self) -> str:
         """Say in one line what the road is."""
         length = sum(one.length_m for one in self.lanes)

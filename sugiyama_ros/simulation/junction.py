@@ -156,13 +156,13 @@ class JunctionSimulator:
         check(drivers)
         self.period_s = clock.period_s
         self._setting = Setting(clock.period_s, horizon_at(clock.period_s), 0.0)
-        self._drivers, self._rows = drivers, at_period(drivers, clock.period_s)
+        self.drivers, self._rows = drivers, at_period(drivers, clock.period_s)
         self._rng = rng
         self._rng_of_effects = rng.spawn(1)[0]
         self._wandering = Wandering(clock.period_s, self._rng_of_effects)
         self._ways = lines_of_routes(network, self.paths)
         self._route = np.array([one.route for one in travellers], dtype=np.int64)
-        self._length = np.array([one.length_m for one in travellers])
+        self.length_m = np.array([one.length_m for one in travellers])
         self._due = np.array([one.time_s for one in travellers])
         self._end = np.array([path.length_m for path in self.paths])[self._route]
         count = len(travellers)
@@ -171,8 +171,7 @@ class JunctionSimulator:
         self.entered, self.arrived, self.collided = (np.zeros(count, dtype=bool) for _ in range(3))
         #: State of each vehicle: place [m], speed [m/s], noise and held acceleration, acceleration [m/s^2].
         self.place, self.speed, self.noise, self.held, self.acceleration = (np.zeros(count) for _ in range(5))
-        zero = np.zeros(count)
-        self._past = begin(zero, zero, zero, zero, self._rows, clock.period_s).past
+        self._past = self._no_past()
         self._let_in()
 
     @property
@@ -184,6 +183,23 @@ class JunctionSimulator:
         """Measure the places [m] of the vehicles on the network; draws measurement noise."""
         here = self.on_road
         return measure(self.place[here], Road(), self._rows[here], self._rng, self._rng_of_effects)
+
+    def see(self) -> tuple[Ints, Array, Array]:
+        """What those on the network see, as of ``see_scene``: the number of each leader, shift [m] and line."""
+        here = self.on_road
+        leader, shift, line = self._see(here)
+        return np.where(leader >= 0, here[leader], -1) if len(here) else leader, shift, line
+
+    def change(self, drivers: Array) -> None:
+        """Let the drivers drive otherwise from the next period on; rows (N, width) at the reference period.
+
+        Raises InputError for a parameter out of bounds; the drivers drive on as before then.
+        """
+        check(drivers)
+        self.drivers, self._rows = drivers.copy(), at_period(drivers, self.period_s)
+        if len(past := self._no_past()) != len(self._past):
+            self._past = past
+            self._drove_evenly(self.on_road)
 
     def step(self) -> list[Collision]:
         """Advance all vehicles by one period; returns the collisions."""
@@ -197,7 +213,7 @@ class JunctionSimulator:
         self.place[here] = np.where(rests, own[0], np.maximum(place, own[0]))
         self.speed[here], self.noise[here] = np.where(rests, 0.0, [np.maximum(speed, 0.0), noise])
         self.time_s += self.period_s
-        self.arrived[here] |= self.place[here] + 0.5 * self._length[here] >= self._end[here]
+        self.arrived[here] |= self.place[here] + 0.5 * self.length_m[here] >= self._end[here]
         collisions = self._collisions()
         for one in collisions:
             self.collided[[one.vehicle, one.leader]] = True
@@ -206,7 +222,7 @@ class JunctionSimulator:
 
     def _moment(self, here: Ints) -> Moment:
         red, since = signals_at(self.network, self.time_s)
-        return Moment(self._route[here], self.place[here], self.speed[here], self._length[here], red, since)
+        return Moment(self._route[here], self.place[here], self.speed[here], self.length_m[here], red, since)
 
     def _see(self, here: Ints) -> tuple[Ints, Array, Array]:
         """Leader, shift of their place and line of each vehicle on the network."""
@@ -217,7 +233,7 @@ class JunctionSimulator:
     def _decide(self, here: Ints) -> None:
         """Let the drivers decide what their cars do in the coming period."""
         leader, shift, line = self._see(here)
-        order = Order(leader, -shift, self._length[here], line)
+        order = Order(leader, -shift, self.length_m[here], line)
         past = np.ascontiguousarray(self._past[:, :, here])
         traffic = Traffic(self.place[here], self.speed[here], self.held[here], self.acceleration[here], past)
         held, pushed = np.empty(len(here)), np.empty(len(here))
@@ -234,20 +250,29 @@ class JunctionSimulator:
             if any(self.paths[self._route[j]].lanes[0] == first for j in self._waiting_before(i)):
                 continue
             here = np.append(self.on_road, i)
-            self.place[i], self.speed[i] = 0.5 * self._length[i], self._rows[i, V_STAR]
+            self.place[i], self.speed[i] = 0.5 * self.length_m[i], self._rows[i, V_STAR]
             leader, shift, _ = self._see(here)
             ahead = here[leader[-1]] if leader[-1] >= 0 else -1
             if ahead >= 0:
-                gap = self.place[ahead] + shift[-1] - self.place[i] - 0.5 * (self._length[ahead] + self._length[i])
+                gap = self.place[ahead] + shift[-1] - self.place[i] - 0.5 * (self.length_m[ahead] + self.length_m[i])
                 self.speed[i] = min(self.speed[i], max(self.speed[ahead], 0.0))
                 if gap < _GAP_M + _GAP_S * self.speed[i]:
                     continue
             limit = self.network.lanes[first].speed_limit
             self.speed[i] = min(self.speed[i], limit)
             self.entered[i] = True
-            periods = 1 + np.arange(len(self._past))
-            self._past[:, 0, i] = self.place[i] - periods * self.period_s * self.speed[i]
-            self._past[:, 1, i] = self.speed[i]
+            self._drove_evenly(np.array([i]))
+
+    def _no_past(self) -> Array:
+        """Room for what the drivers remember."""
+        zero = np.zeros(len(self.travellers))
+        return begin(zero, zero, zero, zero, self._rows, self.period_s).past
+
+    def _drove_evenly(self, vehicles: Ints) -> None:
+        """Let some vehicles have driven at their present speed before."""
+        periods = 1 + np.arange(len(self._past))[:, None]
+        self._past[:, 0, vehicles] = self.place[vehicles] - periods * self.period_s * self.speed[vehicles]
+        self._past[:, 1, vehicles] = self.speed[vehicles]
 
     def _waiting_before(self, i: int) -> list[int]:
         """Numbers of those who wait to come in and were due before driver i."""
@@ -262,7 +287,7 @@ class JunctionSimulator:
         for k, i in enumerate(here.tolist()):
             if leader[k] >= 0:
                 j = int(here[leader[k]])
-                gap = self.place[j] + shift[k] - self.place[i] - 0.5 * (self._length[i] + self._length[j])
+                gap = self.place[j] + shift[k] - self.place[i] - 0.5 * (self.length_m[i] + self.length_m[j])
                 if gap <= 0.0:
                     found.append(Collision(self.time_s, i, j))
         taken = {one.vehicle for one in found}
@@ -283,7 +308,7 @@ class JunctionSimulator:
         pairs = []
         ways = self._ways
         for i in here.tolist():
-            front, back = self.place[i] + 0.5 * self._length[i], self.place[i] - 0.5 * self._length[i]
+            front, back = self.place[i] + 0.5 * self.length_m[i], self.place[i] - 0.5 * self.length_m[i]
             met = self.paths[self._route[i]].conflicts
             for c in np.flatnonzero((met.enter_m < front) & (met.leave_m > back)).tolist():
                 for j in here.tolist():
@@ -291,14 +316,14 @@ class JunctionSimulator:
                     if j <= i or math.isnan(start):
                         continue
                     along = self.place[j] - start
-                    half = 0.5 * self._length[j]
+                    half = 0.5 * self.length_m[j]
                     if along + half > met.other_enter_m[c] and along - half < met.other_leave_m[c]:
                         pairs.append((i, j))
         return sorted(set(pairs))
 
     def _body(self, i: int) -> Array:
         """Points (2, P) [m] along the middle of a vehicle."""
-        s = self.place[i] + 0.5 * self._length[i] * np.linspace(-1.0, 1.0, _POINTS)
+        s = self.place[i] + 0.5 * self.length_m[i] * np.linspace(-1.0, 1.0, _POINTS)
         x, y, _ = self.paths[self._route[i]].at(s)
         return np.array([x, y])
 
@@ -331,7 +356,7 @@ def simulate_junction(simulator: JunctionSimulator, duration_s: float) -> Juncti
         paths=simulator.paths,
         travellers=simulator.travellers,
         rows=OnNetwork(
-            vehicle, simulator._route[vehicle], time_s, measured, simulator._length[vehicle], np.zeros_like(vehicle)
+            vehicle, simulator._route[vehicle], time_s, measured, simulator.length_m[vehicle], np.zeros_like(vehicle)
         ),
         place_m=place,
         speed=speed,

@@ -7,6 +7,7 @@ import pytest
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
 from sugiyama_msgs.msg import DriverArray
+from sugiyama_msgs.srv import SetDriver
 from typer.testing import CliRunner
 
 import sugiyama_ros as sg
@@ -20,6 +21,7 @@ from sugiyama_ros.nodes.base.samples import Sample
 from sugiyama_ros.nodes.drivers import DriversNode
 from sugiyama_ros.nodes.replay import Replay, TrackSamples
 from sugiyama_ros.nodes.run import run
+from sugiyama_ros.nodes.simulator import SimulatorNode
 from sugiyama_ros.nodes.view import View
 from sugiyama_ros.road import Road
 from sugiyama_ros.roads.examples import roundabout
@@ -32,26 +34,13 @@ pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 COLUMNS = (*LINE, "leader_shift_m")
 
 
-def ways(network):
-    """From each arm of a roundabout to the next arm but one."""
-    found = []
-    for first in (k for k in range(len(network.lanes)) if not network.before[k]):
-        route = [first]
-        while len(route) < 4:
-            after = [k for k in network.after[route[-1]] if network.after[k]]
-            route.append(after[-1])
-        route.append(next(k for k in network.after[route[-1]] if not network.after[k]))
-        found.append(network.path(route))
-    return found
-
-
 @pytest.fixture(scope="module")
 def tracks() -> Tracks:
     """Eighteen drivers on a roundabout."""
     rng, network = np.random.default_rng(4), roundabout()
-    rows, paths = defaults(18), ways(roundabout())
+    rows, paths = defaults(18), network.ways()
     rows[:, V_STAR], rows[:, KAPPA_V] = rng.normal(11.0, 1.0, 18), 0.4
-    come = demand(np.full(len(paths), 250.0), ROW.with_effects(rows), rng)
+    come = demand(np.full(len(paths), 1000.0 / len(paths)), ROW.with_effects(rows), rng)
     return simulate_junction(JunctionSimulator(network, paths, come, rng, Clock(0.2)), 1000.0).measured
 
 
@@ -139,3 +128,18 @@ def test_a_recording_is_calibrated_as_its_tracks_are(tracks: Tracks, recorded: P
     of_recording = sg.calibrate(sg.read(recorded)).to_frame()[["v_star", "kappa_v"]]
     of_tracks = sg.calibrate(tracks).to_frame()[["v_star", "kappa_v"]]
     np.testing.assert_allclose(of_recording, of_tracks, rtol=1e-6)
+
+
+def test_a_simulated_roundabout_is_followed_live(stage, tmp_path: Path) -> None:
+    """Until the last vehicle has left; a driver is changed meanwhile."""
+    about = {"scene": "roundabout", "vehicles": 12, "rate": 0.0, "wait_for": ["/drivers"], "exit_at_end": True}
+    simulator = SimulatorNode(parameter_overrides=[Parameter(k, value=v) for k, v in about.items()])
+    drivers = DriversNode()
+    stage.add(simulator, drivers)
+    assert stage.call(SetDriver, "/simulator/set_driver", SetDriver.Request(vehicle=11, name=["v_star"], value=[7.0]))
+    stage.until(lambda: simulator.is_done, 60.0)
+    assert simulator.samples.simulator.arrived.all()
+    assert simulator.samples.collisions == 0
+    learnt = [drivers.told[v].value["v_star"] for v in range(12)]
+    expected = [*simulator.samples.simulator.drivers[:11, V_STAR], 7.0]
+    np.testing.assert_allclose(learnt, expected, rtol=0.1)
