@@ -26,13 +26,17 @@ from sugiyama_ros.formats.reading import attribute, elements
 from sugiyama_ros.formats.road_csv import write_road
 from sugiyama_ros.formats.roads import read_road
 from sugiyama_ros.roads.network import Network
-from sugiyama_ros.roads.routes import Routes, routes_of
+from sugiyama_ros.roads.routes import Routes, SeenRows, places_near, routes_of
 
 # Drivers that SUMO draws: how their speeds differ, and the laws they follow.
 _LAWS = {
     "Krauss": 'carFollowModel="Krauss" sigma="0.3"',
     "IDM": 'carFollowModel="IDM" tau="1.2"',
 }
+# Time [s] for which a vehicle is beside the middle.
+_ASIDE_S = 5.0
+# Distance [m] within which a lane may be the nearest one.
+_NEAR_M = 3.5
 # Speed limits [m/s]: in towns, on a roundabout, and on a motorway.
 _TOWN, _RING, _FAST = 13.9, 8.3, 27.8
 
@@ -57,18 +61,20 @@ def main() -> None:
     found.add_argument(
         "--noise", type=float, default=0.0, help="noise of positions [m], whose headings are not known then"
     )
+    found.add_argument("--aside", type=float, default=0.0, help="how far vehicles are beside the middle [m], for 5 s")
     arguments = parser.parse_args()
     try:
         if arguments.part == "make":
             make(arguments)
         else:
-            print(f"{'folder':30}{'vehicles':>10}{'right':>9}{'rows':>10}{'right':>9}{'lane right':>12}")
+            print(f"{'folder':26}{'vehicles':>9}{'route':>9}{'nearest':>9}{'rows':>9}{'on route':>10}{'on lane':>9}")
             for folder in arguments.folders:
-                vehicles, right, rows, on_way, on_lane = compared(folder, arguments.noise)
-                shares = 100.0 * right / vehicles, 100.0 * on_way / rows, 100.0 * on_lane / rows
-                print(
-                    f"{str(folder)[-30:]:30}{vehicles:10}{shares[0]:8.2f}%{rows:10}{shares[1]:8.2f}%{shares[2]:11.2f}%"
+                vehicles, rows, *counts = compared(folder, arguments.noise, arguments.aside)
+                right, nearest, on_way, on_lane = (
+                    f"{100.0 * count / of:.2f}%"
+                    for count, of in zip(counts, (vehicles, vehicles, rows, rows), strict=True)
                 )
+                print(f"{folder.name[-26:]:26}{vehicles:9}{right:>9}{nearest:>9}{rows:9}{on_way:>10}{on_lane:>9}")
     except InputError as error:
         sys.exit(f"error: {error}")
 
@@ -106,25 +112,37 @@ def make(arguments: argparse.Namespace) -> None:
     print(f"{folder}: {network.headline()}")
 
 
-def compared(folder: Path, noise_m: float) -> tuple[int, int, int, int, int]:
-    """Vehicles, those whose route is right, rows, those on a route with the right lane, and those on the right lane.
+def compared(folder: Path, noise_m: float, aside_m: float) -> tuple[int, int, int, int, int, int]:
+    """Count vehicles and rows, and what is right.
 
-    The route of a vehicle is right if it names the lanes between junctions that SUMO names, in this order.
+    These are vehicles whose route is right, and those whose sequence of nearest lanes is; rows on a route with the
+    right lane, and rows on the right lane. A route is right if it names the lanes between junctions that SUMO names, in
+    this order.
     """
     network = read_road(folder / "road.csv")
     vehicle, time, x, y, heading, lane = _samples(folder / "fcd.xml", network)
     rng = np.random.default_rng(1)
+    if aside_m:
+        keeps = np.exp(-float(np.min(np.diff(np.unique(time)))) / _ASIDE_S)
+        shift = aside_m * np.sqrt(1.0 - keeps**2) * rng.normal(size=len(x))
+        for k in range(1, len(x)):
+            shift[k] += keeps * shift[k - 1]
+        x, y = x - shift * np.sin(heading), y + shift * np.cos(heading)
     if noise_m:
         x, y = (axis + noise_m * rng.normal(size=len(axis)) for axis in (x, y))
     found = routes_of(network, vehicle, time, x, y, None if noise_m else heading)
+    seen = SeenRows(vehicle, time, np.stack((x, y), axis=1), np.full(len(x), np.nan))
+    near = places_near(network, seen, _NEAR_M)
+    nearest = np.array([min(near[k], key=lambda one: one.distance).lane if k in near else -1 for k in range(len(x))])
     between = np.array([not one.name.startswith(":") for one in network.lanes])
-    right = on_way = 0
+    right = as_near = on_way = 0
     for rows in np.split(np.arange(len(vehicle)), np.flatnonzero(np.diff(vehicle)) + 1):
         truth = _sequence(lane[rows], between)
         right += _routes(found, rows, between) == truth
+        as_near += _sequence(nearest[rows], between) == truth
         ways = [set(found.paths[k].lanes) if k >= 0 else set() for k in found.route[rows].tolist()]
         on_way += sum(one in way for one, way in zip(lane[rows].tolist(), ways, strict=True))
-    return len(np.unique(vehicle)), right, len(lane), on_way, int((found.lane == lane).sum())
+    return len(np.unique(vehicle)), len(lane), right, as_near, on_way, int((found.lane == lane).sum())
 
 
 def _sequence(lane: Ints, between: Mask) -> list[int]:

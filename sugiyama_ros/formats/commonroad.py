@@ -25,7 +25,7 @@ from sugiyama_ros.formats.format import Format
 from sugiyama_ros.formats.reading import elements, has_root, number, root_of
 from sugiyama_ros.formats.sheet import MAX_ROWS
 from sugiyama_ros.roads.network import Lanelet, Network
-from sugiyama_ros.roads.routes import Place, SeenRows, Ways, places_near
+from sugiyama_ros.roads.routes import CHANGE, Place, SeenRows, Ways, places_near
 from sugiyama_ros.trajectories.assemble import AGREES
 from sugiyama_ros.trajectories.labels import Labels, labels, labels_of
 from sugiyama_ros.trajectories.tracks import Tracks
@@ -65,7 +65,7 @@ class _Graph:
     def __init__(self, network: Network) -> None:
         self.names = [one.name for one in network.lanes]
         self.length = np.array([np.cumsum(np.hypot(np.diff(one.x_m), np.diff(one.y_m)))[-1] for one in network.lanes])
-        self.after, self.ways = network.after, Ways(network)
+        self.after, self.ways = network.after, Ways(network, CHANGE)
         # roads and lanes begin where no lanelet leads in; what is left then are rings
         self._first = [*(k for k, before in enumerate(network.before) if not before), *range(len(self.names))]
         self.offset, self.road = self._offsets(network)

@@ -2,10 +2,10 @@
 
 A vehicle is on a lane that is near and that points the way the vehicle does. Where several do, as on a crossing, the
 vehicle's whole way decides: the sum of the squared distances from the lanes is least, and a step to a lane that does
-not follow costs as much as half a lane.
+not follow has a cost, too.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -19,8 +19,10 @@ from sugiyama_ros.roads.network import Network, Path
 _WITHIN = 0.25 * np.pi
 # Distance [m] from the middle of a lane beyond which a vehicle has left it: the width of a lane.
 _ON_LANE_M = 3.5
-# What a change to a lane that does not follow costs: the square of a distance [m] of half a lane.
-_CHANGE = 1.75**2
+#: What a change to a lane costs: the square of a distance [m] of half a lane.
+CHANGE = 1.75**2
+# What a step to a lane costs that neither follows nor lies beside: nobody does it just to be nearer to a middle line.
+_ELSEWHERE = 10.0**2
 # Lanes that a vehicle may pass between two samples.
 _PASSED = 3
 # Places that are put on a path at a time.
@@ -81,12 +83,15 @@ def places_near(network: Network, seen: SeenRows, within_m: float) -> dict[int, 
 class Ways:
     """Ways through a network: which lanes a vehicle may come to between two samples, and which way costs least.
 
-    network: the network; passed: for each lane the lane itself and those that a vehicle may come to.
+    network: the network; elsewhere: what a step to a lane costs that neither follows nor lies beside; passed: for each
+    lane the lane itself and those that a vehicle may come to.
     """
 
-    def __init__(self, network: Network) -> None:
-        self.after = network.after
+    def __init__(self, network: Network, elsewhere: float = _ELSEWHERE) -> None:
+        self.after, self._elsewhere = network.after, elsewhere
         self.passed = [self._reached(k) for k in range(len(self.after))]
+        beside = [[network.number(name) for name in (one.left, one.right) if name] for one in network.lanes]
+        self._beside = [frozenset[int]().union(*(self.passed[k] for k in ones)) for ones in beside]
 
     def _reached(self, first: int) -> frozenset[int]:
         reached, edge = {first}, {first}
@@ -97,14 +102,15 @@ class Ways:
 
     def least(self, near: Sequence[Sequence[Place]]) -> list[Place]:
         """The places of a vehicle at T times, out of those near at each, at least one: the way with the least cost."""
+
+        def step(last: int, lane: int) -> float:
+            return 0.0 if lane in self.passed[last] else CHANGE if lane in self._beside[last] else self._elsewhere
+
         costs = [place.distance**2 for place in near[0]]
         came: list[list[int]] = [[0] * len(costs)]
         for before, places in pairwise(near):
             table = [
-                [
-                    cost + _CHANGE * (place.lane not in self.passed[last.lane])
-                    for cost, last in zip(costs, before, strict=True)
-                ]
+                [cost + step(last.lane, place.lane) for cost, last in zip(costs, before, strict=True)]
                 for place in places
             ]
             came.append([int(np.argmin(row)) for row in table])
@@ -204,14 +210,13 @@ def routes_of(
     s_m, d_m = np.full(len(x_m), np.nan), np.full(len(x_m), np.nan)
     cuts = 0
     for rows in seen.of_vehicles():
-        on = np.array([row for row in rows.tolist() if row in near], dtype=np.int64)
-        places = ways.least([near[row] for row in on.tolist()]) if len(on) else []
-        for k, (lanes, part) in enumerate(_pieces(ways, places)):
+        for k, (lanes, here, on) in enumerate(_parts(ways, rows, near)):
             if lanes not in paths:
                 paths[lanes] = Path(network, lanes)
-            here = on[part]
-            route[here], lane[here] = list(paths).index(lanes), [place.lane for place in places[part]]
-            s_m[here], d_m[here] = _along(paths[lanes], seen.place_m[here], places[part])
+            s, d, own = _along(paths[lanes], seen.place_m[here], on)
+            kept = np.abs(d) < _ON_LANE_M
+            here = here[kept]
+            s_m[here], d_m[here], lane[here], route[here] = s[kept], d[kept], own[kept], list(paths).index(lanes)
             cuts += k > 0
     off = int((route < 0).sum())
     notes = (
@@ -244,12 +249,28 @@ def _of_motion(place_m: Array) -> Array:
     return np.asarray(np.arctan2(way[:, 1], way[:, 0])[np.minimum(piece, len(way) - 1)])
 
 
+def _parts(
+    ways: Ways, rows: Ints, near: Mapping[int, Sequence[Place]]
+) -> Iterator[tuple[tuple[int, ...], Ints, dict[int, Place]]]:
+    """The routes of a vehicle, the rows of each, and the places of those rows that are on a lane."""
+    on = np.array([k for k, row in enumerate(rows.tolist()) if row in near], dtype=np.int64)
+    places = ways.least([near[row] for row in rows[on].tolist()]) if len(on) else []
+    for lanes, part in _pieces(ways, places):
+        first, last = on[part][[0, -1]].tolist()
+        # between them are rows in which the heading may have been unlike that of the lane
+        yield lanes, rows[first : last + 1], dict(zip((on[part] - first).tolist(), places[part], strict=True))
+
+
 def _pieces(ways: Ways, places: Sequence[Place]) -> Iterator[tuple[tuple[int, ...], slice]]:
-    """The routes of a vehicle, one after the other, and the places of each."""
+    """The routes of a vehicle, one after the other, and the places of each.
+
+    A vehicle that comes back to one of the last lanes of its route has not left it: it stands between the two.
+    """
     route: list[int] = []
     first = 0
     for k, place in enumerate(places):
-        if route and place.lane == route[-1]:
+        if place.lane in route[-1 - _PASSED :]:
+            del route[route.index(place.lane) + 1 :]
             continue
         onward = ways.between(route[-1], place.lane) if route and place.lane in ways.passed[route[-1]] else []
         if not onward or set(onward) & set(route):
@@ -261,11 +282,15 @@ def _pieces(ways: Ways, places: Sequence[Place]) -> Iterator[tuple[tuple[int, ..
         yield tuple(route), slice(first, len(places))
 
 
-def _along(path: Path, place_m: Array, places: Sequence[Place]) -> tuple[Array, Array]:
-    """Places [m] along a path and across it of points (N, 2) [m] on its lanes."""
-    along = np.array([path.place_of(place.lane) + place.along for place in places])
+def _along(path: Path, place_m: Array, on: Mapping[int, Place]) -> tuple[Array, Array, Ints]:
+    """Places [m] along a path and across it of points (N, 2) [m], and their lanes; of some points, these are known."""
     parts = np.array_split(place_m, len(place_m) // _MOST + 1)
     s, d = np.concatenate([path.project(*part.T) for part in parts], axis=1)
-    # where a path comes near to itself, its nearest point may be of another lane
-    astray = np.abs(s - along) > 2.0 * _ON_LANE_M
-    return np.where(astray, along, s), np.where(astray, [place.across for place in places], d)
+    lane = path.lane_at(s)
+    for k, place in on.items():
+        along = path.place_of(place.lane) + place.along
+        lane[k] = place.lane if np.isfinite(along) else lane[k]
+        # where a path comes near to itself, its nearest point may be of another lane
+        if abs(s[k] - along) > 2.0 * _ON_LANE_M:
+            s[k], d[k] = along, place.across
+    return s, d, lane

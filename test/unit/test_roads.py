@@ -185,3 +185,19 @@ def test_a_vehicle_that_turns_back_or_leaves_begins_another_route() -> None:
     assert np.mean(found.route == np.repeat([0, 1, -1], len(way))) > 0.95
     assert len(found.notes) == 2
     np.testing.assert_allclose(np.diff(found.s_m[5:100]), 0.5)
+
+
+def test_a_vehicle_that_waits_between_two_lanes_stays_on_its_route(rng: np.random.Generator) -> None:
+    network = crossing()
+    way = ["in2", "2to4", "out4"]
+    path = network.path(way)
+    # it waits where its lane ends and three others begin, and is seen up to 3 m before and behind
+    line = path.place_of(network.number("2to4"))
+    waits = line + 3.0 * np.sin(np.arange(300) / 20.0)
+    s = np.concatenate((np.arange(0.0, line, 0.8), waits, np.arange(line, 150.0, 0.8)))
+    x, y, heading = path.at(s)
+    x, y = rng.normal((x, y), 0.2)
+    found = routes_of(network, np.zeros(len(s), dtype=int), 0.1 * np.arange(len(s)), x, y, heading)
+    assert [[network.lanes[k].name for k in one.lanes] for one in found.paths] == [way]
+    assert (found.route == 0).all()
+    np.testing.assert_allclose(found.s_m, s, atol=1.0)
