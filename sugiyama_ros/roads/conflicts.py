@@ -169,24 +169,16 @@ def _without_forks(areas: _Areas, network: Network) -> None:
 
     A lane that follows within such an area goes on with it: its start is where the area with the lane before ends.
     """
-    length = [lane.length_m for lane in network.lanes]
-    # lanes that are together at the start of one of them
-    parting = {
-        (i, j, k)
-        for (i, j), there in areas.items()
-        for k, area in enumerate(there)
-        if _follow(area, i, j, network, length) or _follow(_turned(area), j, i, network, length)
-        or (max(area.enter) <= _AT_END_M and set(network.before[i]) & set(network.before[j]))
-    }  # fmt: skip
+    parting: set[tuple[int, int, int]] = set()
+
+    def parts(area: _Area, i: int, j: int) -> bool:
+        return _begins(area, i, j, network) or _goes_on(area, i, j, areas, parting, network)
+
     size = -1
     while size != len(parting):
         size = len(parting)
         for (i, j), there in areas.items():
-            for k, area in enumerate(there):
-                if _goes_on(area, i, j, areas, parting, network) or _goes_on(
-                    _turned(area), j, i, areas, parting, network
-                ):
-                    parting.add((i, j, k))
+            parting |= {(i, j, k) for k, area in enumerate(there) if parts(area, i, j) or parts(_turned(area), j, i)}
     for (i, j), there in areas.items():
         areas[i, j] = [area for k, area in enumerate(there) if (i, j, k) not in parting]
 
@@ -195,9 +187,11 @@ def _turned(area: _Area) -> _Area:
     return _Area(area.enter[::-1], area.leave[::-1])
 
 
-def _follow(area: _Area, i: int, j: int, network: Network, length: Sequence[float]) -> bool:
-    """Whether an area is the end of lane i and the start of lane j that follows it."""
-    return j in network.after[i] and area.leave[0] >= length[i] - _AT_END_M and area.enter[1] <= _AT_END_M
+def _begins(area: _Area, i: int, j: int, network: Network) -> bool:
+    """Whether lane j begins in an area as the one that follows lane i, or as lane i does after the same lane."""
+    follows = j in network.after[i] and area.leave[0] >= network.lanes[i].length_m - _AT_END_M
+    forks = area.enter[0] <= _AT_END_M and not set(network.before[i]).isdisjoint(network.before[j])
+    return area.enter[1] <= _AT_END_M and (follows or forks)
 
 
 def _goes_on(area: _Area, i: int, j: int, areas: _Areas, parting: set[tuple[int, int, int]], network: Network) -> bool:
