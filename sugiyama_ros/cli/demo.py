@@ -3,12 +3,13 @@
 import math
 import os
 import tempfile
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sugiyama_ros.cli.options import Json, Overwrite, Ring, Seed, own_output, to_write
+from sugiyama_ros.cli.options import Json, Overwrite, Ring, Seed, own_output, takes, to_write
 from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, show_page
 from sugiyama_ros.cli.run import INTERRUPTED, RunOptions, replay
 from sugiyama_ros.errors import InputError
@@ -24,10 +25,13 @@ if TYPE_CHECKING:
 _OWN = "sugiyama-demo.mcap"
 
 
-def demo(
+@dataclass(frozen=True)
+class _DemoOptions:
+    """Options of the command."""
+
     data: Annotated[
         Path | None, typer.Option(help="Measured trajectories in any known format, instead of simulated ones.")
-    ] = None,
+    ] = None
     output: Annotated[
         Path | None,
         typer.Option(
@@ -35,24 +39,30 @@ def demo(
             "-o",
             help=f"MCAP file to write; the report is beside it. By default {_OWN}, which each demo replaces.",
         ),
-    ] = None,
-    overwrite: Overwrite = False,
-    ring: Ring = None,
+    ] = None
+    overwrite: Overwrite = False
+    ring: Ring = None
+    scene: Annotated[
+        str | None, typer.Option(help="Where simulated drivers meet, instead of the ring: roundabout or signals.")
+    ] = None
     hidden: Annotated[
-        str,
+        str | None,
         typer.Option(help="Effect that the simulated drivers have and the model lacks; `sugiyama effects` lists them."),
-    ] = "slow_patch",
-    seed: Seed = 1,
-    show: Annotated[bool, typer.Option("--open", help="Open the report in the browser.")] = False,
-    as_json: Json = False,
-) -> None:
+    ] = None
+    seed: Seed = 1
+    show: Annotated[bool, typer.Option("--open", help="Open the report in the browser.")] = False
+    as_json: Json = False
+
+
+@takes(_DemoOptions)
+def demo(options: _DemoOptions) -> None:
     """Find out what the model lacks, add it, and show it on a page.
 
     Simulated drivers have an effect that the model lacks. The program replays the simulated experiment, finds what the
     model lacks, adds it to the model, and replays the experiment again. With --data, it does the same with a measured
     experiment.
     """
-    recording = own_output(output, _OWN, overwrite)
+    recording = own_output(options.output, _OWN, options.overwrite)
     page = to_write(recording.path.with_suffix(".html"), recording.overwrite)
     from sugiyama_ros.api import FEW_STEPS
     from sugiyama_ros.formats.choices import Choices
@@ -60,19 +70,19 @@ def demo(
     from sugiyama_ros.page.recording import read_recording
     from sugiyama_ros.page.report import write_report
 
-    truth: dict[str, Any] = {}
-    if data is not None:
-        tracks = read_tracks(data, Choices(ring_m=ring))
+    if options.data is not None and options.scene is not None:
+        raise InputError("--scene: is for simulated drivers; leave out --scene or --data")
+    if options.data is not None:
+        most, truth, tracks = FEW_STEPS, {}, read_tracks(options.data, Choices(ring_m=options.ring))
     else:
-        tracks, truth = _simulated(hidden, seed)
-        print_note("22 simulated drivers on a ring of 230 m, for 250 s. They have an effect that the model lacks.")
-    before, found, after = _before_and_after(tracks, recording, seed, FEW_STEPS if data is not None else 1)
+        most, (tracks, truth) = 1, _simulated(options.hidden, options.seed, options.scene)
+    before, found, after = _before_and_after(tracks, recording, options.seed, most)
     told = _document(found, truth)
     write_report(read_recording(recording.path), told, page)
-    if show:
+    if options.show:
         show_page(str(page.path))
     rmse = [math.sqrt(sum(d.one_step_rmse_m**2 for d in r.drivers) / len(r.drivers)) for r in (before, after)]
-    if not as_json:
+    if not options.as_json:
         _print(told, rmse, recording, page)
         return
     print_json(
@@ -96,14 +106,29 @@ def _document(found: "Diagnosis", truth: dict[str, Any]) -> dict[str, Any]:
     return told
 
 
-def _simulated(hidden: str, seed: int) -> tuple["Tracks", dict[str, Any]]:
+def _simulated(hidden: str | None, seed: int, scene: str | None) -> tuple["Tracks", dict[str, Any]]:
     """A simulated experiment with a hidden effect, and the truth for the document."""
     from sugiyama_ros.studies.effects import DEMONSTRATED, STRENGTHS, hide
 
+    if scene is not None:
+        return _at_scene(scene, hidden, seed)
+    hidden = hidden or "slow_patch"
     if hidden not in STRENGTHS:
         raise InputError(f"--hidden {hidden}: is not known; give one of {', '.join(STRENGTHS)}")
     simulated, values = hide(hidden, DEMONSTRATED.get(hidden, STRENGTHS[hidden][0]), seed)
+    print_note("22 simulated drivers on a ring of 230 m, for 250 s. They have an effect that the model lacks.")
     return simulated.measured, {"hidden": {"name": hidden, "parameters": dict(values)}}
+
+
+def _at_scene(scene: str, hidden: str | None, seed: int) -> tuple["Tracks", dict[str, Any]]:
+    """Drivers with a hidden effect who meet, and the truth for the document."""
+    from sugiyama_ros.studies.scenes import HIDDEN, hide_at_scene
+
+    if scene not in HIDDEN:
+        raise InputError(f"--scene {scene}: is not known; give {' or '.join(HIDDEN)}")
+    run, name, values = hide_at_scene(scene, hidden, seed)
+    print_note(f"{len(run.travellers)} simulated drivers, scene {scene}. They have an effect that the model lacks.")
+    return run.measured, {"hidden": {"name": name, "parameters": dict(values)}}
 
 
 def _print(told: dict[str, Any], rmse: list[float], recording: Output, page: Output) -> None:
@@ -139,8 +164,12 @@ def _before_and_after(
     from sugiyama_ros.formats.convert import write_bag
 
     with tempfile.TemporaryDirectory() as directory:
-        source, model = Path(directory) / "measured.mcap", Path(directory) / "model.yaml"
-        write_bag(tracks.dense(), source)
+        model, source = Path(directory) / "model.yaml", Path(directory) / "measured.mcap"
+        if tracks.line_m is None:
+            write_bag(tracks.dense(), source)
+        else:
+            source = source.with_suffix(".parquet")
+            tracks.save(source)
         before = _to_the_end(RunOptions(Path(directory) / "before.mcap", source))
         with stages() as advance:
             found = find(tracks, most=most, seed=seed, workers=os.cpu_count() or 1, on_progress=advance)

@@ -35,7 +35,8 @@ class _SimulateOptions:
     """Options of the command."""
 
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="File to write: .mcap or .csv; with --lanes, .parquet or .csv.")
+        Path,
+        typer.Option("--output", "-o", help="File to write: .mcap or .csv; for tracks, .parquet or .csv."),
     ]
     vehicles: Annotated[int, typer.Option(min=1, help="Number of vehicles, on each lane.")] = 22
     ring: Annotated[
@@ -44,6 +45,10 @@ class _SimulateOptions:
     ] = None
     lanes: Annotated[
         int | None, typer.Option(min=1, max=100, help="Simulate an open road with so many lanes, and write tracks.")
+    ] = None
+    scene: Annotated[
+        str | None,
+        typer.Option(help="Simulate drivers who meet: roundabout, crossing, signals or merge; writes tracks."),
     ] = None
     view: Annotated[
         str | None,
@@ -74,7 +79,7 @@ class _SimulateOptions:
 
 @takes(_SimulateOptions)
 def simulate(options: _SimulateOptions) -> None:
-    """Simulate drivers on a ring or an open road.
+    """Simulate drivers on a ring, an open road or a junction.
 
     The file has the positions that a camera would measure. An MCAP file also has the truth about each vehicle. The
     first vehicle starts at 0 m and all others behind it.
@@ -88,14 +93,17 @@ def simulate(options: _SimulateOptions) -> None:
         raise InputError("--ring: a ring has one lane; leave out --ring or --lanes")
     if options.lanes is not None and options.controlled is not None:
         raise InputError("--controlled: is for one lane; leave out --controlled or --lanes")
-    output = to_write(options.output, options.overwrite, ".mcap" if options.lanes is None else ".parquet", ".csv")
+    if options.scene is not None:
+        _check_scene(options)
+    is_tracks = options.lanes is not None or options.scene is not None
+    output = to_write(options.output, options.overwrite, ".parquet" if is_tracks else ".mcap", ".csv")
     vehicles = options.vehicles * (options.lanes or 1)
-    ring_m = options.ring if options.ring is not None else Experiment.ring_m if options.lanes is None else 0.0
+    ring_m = options.ring if options.ring is not None else 0.0 if is_tracks else Experiment.ring_m
     experiment = Experiment(
         ring_m, options.duration, period_s=options.period, spread=options.spread, seed=options.seed, start=options.start
     )
     experiment.check(vehicles)
-    drive = _on_one_lane if options.lanes is None else _on_lanes
+    drive = _at_scene if options.scene is not None else _on_one_lane if options.lanes is None else _on_lanes
     document, lines = drive(options, experiment, _rows(options, vehicles), output)
     if options.as_json:
         print_json({"output": str(options.output), "vehicles": vehicles, **document, "seed": options.seed})
@@ -103,7 +111,8 @@ def simulate(options: _SimulateOptions) -> None:
     for line in lines:
         print_line(line)
     for c in document.get("collisions", ()):
-        print_note(f"collision: vehicle {c['vehicle']} into {c['leader']} at {c['time_s']:.1f} s; the run ends there")
+        ends = "they are taken off the road" if options.scene else "the run ends there"
+        print_note(f"collision: vehicle {c['vehicle']} into {c['leader']} at {c['time_s']:.1f} s; {ends}")
 
 
 def _on_one_lane(
@@ -151,6 +160,41 @@ def _on_lanes(
     seen = f"{len(rows)} vehicles on {lanes} lanes, {tracks.runs} of them seen, {len(tracks)} rows"
     document = {"lanes": lanes, "seen": tracks.runs, "rows": len(tracks)}
     return document, [seen, f"in {options.output} (sugiyama info {options.output})"]
+
+
+def _check_scene(options: _SimulateOptions) -> None:
+    """Refuse options that a scene does not have."""
+    for name in ("ring", "lanes", "controlled"):
+        if getattr(options, name):
+            raise InputError(f"--{name}: is not for a scene; leave out --{name} or --scene")
+    if options.start != "jam":
+        raise InputError("--start: is not for a scene, where drivers come one after the other; leave it out")
+
+
+def _at_scene(
+    options: _SimulateOptions, experiment: "Experiment", rows: "Array", output: Output
+) -> tuple[dict[str, Any], list[str]]:
+    """Write the tracks of drivers who meet at a scene; results as of ``_on_one_lane``."""
+    from sugiyama_ros.formats.tracks_parquet import write_tracks
+    from sugiyama_ros.simulation.scenes import simulate_scene
+
+    run = simulate_scene(
+        options.scene or "",
+        rows,
+        options.seed,
+        duration_s=options.duration,
+        spread=options.spread,
+        period_s=options.period,
+    )
+    write_tracks(run.measured, output)
+    document = {
+        "scene": options.scene,
+        "came_through": int(run.arrived.sum()),
+        "longest_stop_s": run.longest_stop_s,
+        "rows": len(run.measured),
+        "collisions": [dataclasses.asdict(c) for c in run.collisions],
+    }
+    return document, [run.headline(), f"in {options.output} (sugiyama info {options.output})"]
 
 
 def _view(text: str | None) -> tuple[float, float]:

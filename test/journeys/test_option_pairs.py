@@ -54,6 +54,8 @@ VALUES: Mapping[str, Sequence[str]] = {
     "simulate --vehicles": ("3",),
     "simulate --ring": ("40", "0"),
     "simulate --lanes": ("2",),
+    "simulate --scene": ("roundabout",),
+    "demo --scene": ("roundabout",),
     "simulate --view": ("0,100",),
     "simulate --period": ("0.1",),
     "simulate --controlled": ("0", "0,2"),
@@ -119,7 +121,12 @@ _CAUSAL = ("no --formulation", "--formulation causal")
 #: --option" for its absence.
 CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
     "info": [("run.mcap", "--ring")],
-    "demo": [("--output old.mcap", "no --overwrite"), ("--data ring.csv", "no --ring")],
+    "demo": [
+        ("--output old.mcap", "no --overwrite"),
+        ("--data ring.csv", "no --ring"),
+        ("--data", "--scene"),
+        ("--hidden drag", "--scene"),
+    ],
     "run": [
         ("--output old.mcap", "no --overwrite"),
         ("ring.csv", "no --ring"),
@@ -136,7 +143,10 @@ CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
         ("--output old.mcap", "no --overwrite"),
         ("--output old.mcap", "--lanes"),
         ("--output new.mcap", "--lanes"),
-        ("--output new.parquet", "no --lanes"),
+        ("--output old.mcap", "--scene"),
+        ("--output new.mcap", "--scene"),
+        *(("--scene", name) for name in ("--lanes", "--ring 40", "--controlled", "--start equal", "--view")),
+        ("--output new.parquet", "no --lanes", "no --scene"),
         ("--view", "no --lanes"),
         ("--ring 40", "--lanes"),
         ("--ring 40", "no --vehicles"),

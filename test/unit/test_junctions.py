@@ -17,27 +17,11 @@ from sugiyama_ros.road import Road
 from sugiyama_ros.roads.examples import crossing, merge, roundabout
 from sugiyama_ros.roads.network import Lanelet, Network, Signal
 from sugiyama_ros.simulation.junction import JunctionSimulator, Traveller, demand, simulate_junction
+from sugiyama_ros.simulation.scenes import ways_through
 from sugiyama_ros.simulation.simulator import Clock, Simulator
 from sugiyama_ros.trajectories.stretches import stretches
 
 CLOCK = Clock(0.2)
-
-
-def all_paths(network):
-    """All ways through a network that do not go back to the arm they come from."""
-    found = []
-
-    def go_on(route):
-        if not network.after[route[-1]]:
-            found.append(network.path(route))
-        for after in network.after[route[-1]]:
-            if after not in route:
-                go_on([*route, after])
-
-    for k in range(len(network.lanes)):
-        if not network.before[k]:
-            go_on([k])
-    return found
 
 
 def drivers(count, rng):
@@ -49,7 +33,7 @@ def drivers(count, rng):
 
 
 def run_on(network, count, per_hour, seed, effect=None, duration_s=2000.0, **values):
-    rng, paths = np.random.default_rng(seed), all_paths(network)
+    rng, paths = np.random.default_rng(seed), ways_through(network)
     rows = drivers(count, rng)
     if effect:
         rows = switch_on(rows, effect, values)
