@@ -72,8 +72,9 @@ def demo(options: _DemoOptions) -> None:
 
     if options.data is not None and options.scene is not None:
         raise InputError("--scene: is for simulated drivers; leave out --scene or --data")
+    truth: dict[str, Any] = {}
     if options.data is not None:
-        most, truth, tracks = FEW_STEPS, {}, read_tracks(options.data, Choices(ring_m=options.ring))
+        most, tracks = FEW_STEPS, read_tracks(options.data, Choices(ring_m=options.ring))
     else:
         most, (tracks, truth) = 1, _simulated(options.hidden, options.seed, options.scene)
     before, found, after = _before_and_after(tracks, recording, options.seed, most)

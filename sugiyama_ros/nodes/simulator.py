@@ -21,18 +21,17 @@ from sugiyama_ros.nodes.base.node import ERROR, Health
 from sugiyama_ros.nodes.base.parameters import declare_driver
 from sugiyama_ros.nodes.source import Source, TrueTopics, answer
 from sugiyama_ros.road import Road
-from sugiyama_ros.roads.examples import roundabout
-from sugiyama_ros.simulation.experiment import Experiment, changed, set_up, spread_out
-from sugiyama_ros.simulation.junction import JunctionSimulator, demand
+from sugiyama_ros.simulation.experiment import Experiment, changed, set_up
+from sugiyama_ros.simulation.junction import JunctionSimulator
 from sugiyama_ros.simulation.result import parameters_of
-from sugiyama_ros.simulation.simulator import Clock, Simulator
+from sugiyama_ros.simulation.scenes import SCENES, scene_simulator
+from sugiyama_ros.simulation.simulator import Simulator
 from sugiyama_ros.trajectories.placing import Positions
 from sugiyama_ros.trajectories.tracks import LINE
 from sugiyama_ros.trajectories.truth import TrueDriver
 
-# Scenes, and vehicles per hour that come to a roundabout.
-_ROAD, _ROUNDABOUT = "road", "roundabout"
-_PER_HOUR = 900.0
+# The scene that is none: a ring, or an open road.
+_ROAD = "road"
 
 
 class _SimulatedPositions:
@@ -110,7 +109,7 @@ class SimulatorNode(Source):
     at the start, or set later, holds for all drivers; the service ``~/set_driver`` changes one of them. Other
     parameters of the node: ``vehicles``, ``ring``, ``start``, ``start_gap``, ``lengths``, ``period``, ``duration``,
     ``spread``, ``effects``, ``seed``, ``controlled``, ``controller``, and the parameters of `Source`. With the
-    ``scene`` roundabout, the vehicles come in on its arms, at random; how they stand at the start has no meaning there.
+    ``scene`` roundabout, for example, vehicles come in at random; how they stand at the start has no meaning there.
     """
 
     samples: _SimulatedPositions | _SimulatedJunction
@@ -125,9 +124,10 @@ class SimulatorNode(Source):
     def open(self) -> _SimulatedPositions | _SimulatedJunction:
         """A simulation with the node's parameters."""
         option = self.option
-        scene = option("scene", _ROAD, f"{_ROAD}, or {_ROUNDABOUT}: vehicles come in, let others pass, and leave")
-        if scene not in (_ROAD, _ROUNDABOUT):
-            raise InputError(f"scene: {scene} is not known; give {_ROAD} or {_ROUNDABOUT}")
+        known = f"{_ROAD}, or {', '.join(SCENES)}"
+        scene = option("scene", _ROAD, f"{known}: vehicles come in, let others pass, and leave")
+        if scene not in (_ROAD, *SCENES):
+            raise InputError(f"scene: {scene} is not known; give {known}")
         vehicles = option("vehicles", 22, "number of vehicles", (1, 1000))
         lengths = option("lengths", [0.0], "length of each vehicle, or of all [m]; 0: the usual")
         given = tuple(float(length) for length in lengths)
@@ -151,10 +151,11 @@ class SimulatorNode(Source):
         controller = option("controller", "", "NAME[:KEY=VALUE[,...]]: what drives the controlled vehicles")
         controlled = controlled_by([v for v in numbers if v >= 0] or None, controller or None)
         steps = experiment.samples if experiment.duration_s else 0
-        if scene == _ROUNDABOUT:
+        if scene != _ROAD:
             if controlled is not None:
-                raise InputError("controlled: drivers alone come to a roundabout; leave it out, or the scene")
-            return _SimulatedJunction(_on_roundabout(experiment, rows), steps)
+                raise InputError("controlled: drivers alone come to a scene; leave it out, or the scene")
+            simulator = scene_simulator(scene, rows, experiment.seed, experiment.spread, experiment.period_s)
+            return _SimulatedJunction(simulator, steps)
         return _SimulatedPositions(set_up(experiment, rows, controlled), steps)
 
     def send_more(self, stamp_ns: int) -> None:
@@ -211,15 +212,6 @@ class SimulatorNode(Source):
         for vehicle in set(vehicles) - set(self.samples.controlled):
             drive = TrueDriver(time_s, vehicle, parameters_of(self.samples.simulator.drivers[vehicle]))
             self._truth.send_parameters(round(time_s * NS), drive)
-
-
-def _on_roundabout(experiment: Experiment, rows: Array) -> JunctionSimulator:
-    """Let drivers with rows (N, width) come to a roundabout, on all ways through it alike."""
-    rng, network = np.random.default_rng(experiment.seed), roundabout()
-    spread_out(rows, experiment.spread, rng)
-    paths = network.ways()
-    come = demand([_PER_HOUR / len(paths)] * len(paths), rows, rng)
-    return JunctionSimulator(network, paths, come, rng, Clock(experiment.period_s))
 
 
 def _changed_driver(row: Array, values: Mapping[str, float]) -> Array:

@@ -7,7 +7,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.roads.examples import crossing, merge, roundabout
-from sugiyama_ros.roads.network import Network, Path
+from sugiyama_ros.roads.network import Network
 from sugiyama_ros.simulation.experiment import spread_out
 from sugiyama_ros.simulation.junction import JunctionRun, JunctionSimulator, demand, simulate_junction
 from sugiyama_ros.simulation.simulator import Clock
@@ -27,21 +27,15 @@ PER_HOUR = 900.0
 _LEAVE_S = 600.0
 
 
-def ways_through(network: Network) -> list[Path]:
-    """Return all ways through a network from where vehicles come in to where they leave it; none comes back."""
-    found: list[Path] = []
-
-    def go_on(way: list[int]) -> None:
-        if not network.after[way[-1]]:
-            found.append(network.path(way))
-        for after in network.after[way[-1]]:
-            if after not in way:
-                go_on([*way, after])
-
-    for lane in range(len(network.lanes)):
-        if not network.before[lane]:
-            go_on([lane])
-    return found
+def scene_simulator(scene: str, rows: Array, seed: int, spread: float, period_s: float) -> JunctionSimulator:
+    """Let drivers come to a scene at random times, on all ways through it alike; arguments as of `simulate_scene`."""
+    if scene not in SCENES:
+        raise InputError(f"scene {scene!r}: is not known; give {', '.join(SCENES)}")
+    rng, network, drivers = np.random.default_rng(seed), SCENES[scene](), rows.copy()
+    spread_out(drivers, spread, rng)
+    paths = network.ways()
+    come = demand([PER_HOUR / len(paths)] * len(paths), drivers, rng)
+    return JunctionSimulator(network, paths, come, rng, Clock(period_s))
 
 
 def simulate_scene(
@@ -82,12 +76,5 @@ def simulate_scene(
     >>> run.headline()
     '5 drivers, 5 came through, 0 collisions, longest standstill of all 0 s'
     """
-    if scene not in SCENES:
-        raise InputError(f"scene {scene!r}: is not known; give {', '.join(SCENES)}")
-    rng, network = np.random.default_rng(seed), SCENES[scene]()
-    paths, drivers = ways_through(network), rows.copy()
-    spread_out(drivers, spread, rng)
-    come = demand([PER_HOUR / len(paths)] * len(paths), drivers, rng)
-    longest = come[-1].time_s + _LEAVE_S
-    simulator = JunctionSimulator(network, paths, come, rng, Clock(period_s))
-    return simulate_junction(simulator, min(duration_s, longest))
+    simulator = scene_simulator(scene, rows, seed, spread, period_s)
+    return simulate_junction(simulator, min(duration_s, simulator.travellers[-1].time_s + _LEAVE_S))

@@ -17,7 +17,6 @@ from sugiyama_ros.road import Road
 from sugiyama_ros.roads.examples import crossing, merge, roundabout
 from sugiyama_ros.roads.network import Lanelet, Network, Signal
 from sugiyama_ros.simulation.junction import JunctionSimulator, Traveller, demand, simulate_junction
-from sugiyama_ros.simulation.scenes import ways_through
 from sugiyama_ros.simulation.simulator import Clock, Simulator
 from sugiyama_ros.trajectories.stretches import stretches
 
@@ -33,7 +32,7 @@ def drivers(count, rng):
 
 
 def run_on(network, count, per_hour, seed, effect=None, duration_s=2000.0, **values):
-    rng, paths = np.random.default_rng(seed), ways_through(network)
+    rng, paths = np.random.default_rng(seed), network.ways()
     rows = drivers(count, rng)
     if effect:
         rows = switch_on(rows, effect, values)
