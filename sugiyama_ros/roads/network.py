@@ -216,15 +216,20 @@ class Signal:
 
     def changes(self, time_s: Array) -> tuple[Array, Array]:
         """Time [s] since the last change of colour and until the next one, at times (N,) [s]; infinite for none."""
+        change, around = self._turns
         time = self._within(time_s)
+        k = np.searchsorted(change, time, side="right")
+        return np.asarray(time - around[k]), np.asarray(around[k + 1] - time)
+
+    @cached_property
+    def _turns(self) -> tuple[Array, Array]:
+        """Times [s] at which the colour changes, and the same with the last one before and the next one after them."""
         before = np.roll(self.red, 1) if self.cycle_s else np.concatenate((self.red[:1], self.red[:-1]))
         change = self.change_s[self.red != before]
         first, last = (-np.inf, np.inf)
         if self.cycle_s and len(change):
             first, last = change[-1] - self.cycle_s, change[0] + self.cycle_s
-        around = np.concatenate(([first], change, [last]))
-        k = np.searchsorted(change, time, side="right")
-        return np.asarray(time - around[k]), np.asarray(around[k + 1] - time)
+        return change, np.concatenate(([first], change, [last]))
 
     def _within(self, time_s: Array) -> Array:
         """Times within a cycle, if there is one."""

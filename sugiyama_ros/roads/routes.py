@@ -102,21 +102,24 @@ class Ways:
 
     def least(self, near: Sequence[Sequence[Place]]) -> list[Place]:
         """The places of a vehicle at T times, out of those near at each, at least one: the way with the least cost."""
-
-        def step(last: int, lane: int) -> float:
-            return 0.0 if lane in self.passed[last] else CHANGE if lane in self._beside[last] else self._elsewhere
-
         costs = [place.distance**2 for place in near[0]]
         came: list[list[int]] = [[0] * len(costs)]
         for before, places in pairwise(near):
-            table = [
-                [cost + step(last.lane, place.lane) for cost, last in zip(costs, before, strict=True)]
-                for place in places
+            last = [
+                (cost, self.passed[one.lane], self._beside[one.lane]) for cost, one in zip(costs, before, strict=True)
             ]
-            came.append([int(np.argmin(row)) for row in table])
-            costs = [min(row) + place.distance**2 for row, place in zip(table, places, strict=True)]
+            table = [
+                [
+                    cost if lane in passed else cost + (CHANGE if lane in beside else self._elsewhere)
+                    for cost, passed, beside in last
+                ]
+                for lane in (place.lane for place in places)
+            ]
+            least = [min(row) for row in table]
+            came.append([row.index(cost) for row, cost in zip(table, least, strict=True)])
+            costs = [cost + place.distance**2 for cost, place in zip(least, places, strict=True)]
         found: list[Place] = []
-        k = int(np.argmin(costs))
+        k = costs.index(min(costs))
         for places, back in zip(reversed(near), reversed(came), strict=True):
             found.append(places[k])
             k = back[k]
