@@ -20,7 +20,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from sugiyama_ros.api import filter_plane, simulate
+from sugiyama_ros.api import filter_plane, lane_changes, simulate, simulate_lane_changes
 from sugiyama_ros.calibration.calibrate import each_driver
 from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.diagnosis.compare import compare
@@ -34,7 +34,7 @@ from sugiyama_ros.road import Road
 _VEHICLES, _RING_M, _DURATION_S = 3, 35.0, 30.0
 # An effect on what is measured: the filters then call functions that the base model does without.
 _EFFECT, _VALUES = "outlier_noise", {"share": 0.03, "factor": 3.0}
-_ONLINE, _PARTS = "the online filter", 7
+_ONLINE, _PARTS = "the online filter", 8
 
 
 def compile_all(tell: Callable[[str], None] = print) -> None:
@@ -55,6 +55,7 @@ def _work() -> dict[str, Callable[[], object]]:
         "the causal calibration": lambda: each_driver(recording().dense(), Settings("causal")),
         "the comparison with other laws": lambda: compare(recording(), [_EFFECT]),
         "the filter in the plane": lambda: filter_plane([0.0] * 3, [0.0] * 3, [(0.0, 0.0), (9.0, 0.0)], 0.1),
+        "changes of lane": lambda: lane_changes(simulate_lane_changes(30, 3, 60.0)),
         "the diagnosis": lambda: diagnose(recording(), simulations=1, most=1),
     }
 

@@ -26,7 +26,7 @@ def test_after_compiling_nothing_is_left_to_compile(monkeypatch: pytest.MonkeyPa
     told: list[str] = []
     compile_all(told.append)
     before = compiled()
-    assert len(told) == 7
+    assert len(told) == 8
     # Python writes no bytecode by itself where PYTHONDONTWRITEBYTECODE is set
     assert all(Path(cache_from_source(str(one))).exists() for one in Path(sg.__file__).parent.glob("cli/*.py"))
     # for one chain and for many, in double and in single precision
