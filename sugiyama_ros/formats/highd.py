@@ -66,8 +66,8 @@ def _read(sheet: Sheet, choices: Choices) -> Tracks:
         raise InputError(f"{path}: highD names its lanes; leave out the road")
     if not is_highd and network is None and sheet.find("leadId") is None:
         raise InputError(
-            f"{path}:1: no column leadId: crossings (inD, rounD) have neither lanes nor leaders; give the road:"
-            " --road-file MAP.osm"
+            f"{path}:1: no column leadId: crossings (inD, rounD) have neither lanes nor leaders; convert them with"
+            " their road: sugiyama convert --road-file MAP.osm"
         )
     columns = read_columns(sheet, _HIGHD if is_highd else _EXID if network is None else _ON_ROAD)
     about = about_file(path, leaders="found" if is_highd or network is not None else "given", licence=_LICENCE)

@@ -32,7 +32,10 @@ _WANTED = {
 
 def _read(sheet: Sheet, choices: Choices) -> Tracks:
     if choices.network is None:
-        raise InputError(f"{sheet.path}: vehicles in the plane, without lanes; give the road: --road-file MAP.osm")
+        raise InputError(
+            f"{sheet.path}: vehicles in the plane, without lanes; convert them with their road: sugiyama convert"
+            " --road-file MAP.osm"
+        )
     columns = read_columns(sheet, _WANTED)
     about = about_file(sheet.path, licence="research use, as granted by interaction-dataset.com")
     about = replace(about, smoothing="positions as published (smoothed)")
