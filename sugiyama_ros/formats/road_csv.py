@@ -122,7 +122,7 @@ def _signal(rows: _LaneRows, lane: Lanelet, stop_m: float) -> Signal:
 
 
 def write_road(network: Network, path: Path) -> None:
-    """Write a road as CSV, with the first place of each lane where drivers wait who yield. Raises OutputError."""
+    """Write a road as CSV, with the first place of each lane where drivers wait. Raises OutputError."""
     signals = {one.lane: one for one in network.signals}
     columns = (*_NEEDED, *_TEXTS, *(name for name in _NUMBERS if name != "priority"))
     with writing(path) as stream:
@@ -135,7 +135,7 @@ def write_road(network: Network, path: Path) -> None:
             said["width_m"] = repr(float(lane.width_m))
             yields = [one for one in network.conflicts_of[k] if one.yields]
             said["yields_to"] = " ".join(dict.fromkeys(one.other for one in yields))
-            if stops := [one.stop_m for one in yields if one.stop_m < one.enter_m]:
+            if stops := [one.stop_m for one in network.conflicts_of[k] if one.stop_m < one.enter_m]:
                 said["stop_m"] = repr(float(min(stops)))
             if lane.name in signals:
                 signal = signals[lane.name]

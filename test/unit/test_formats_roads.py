@@ -26,8 +26,8 @@ def test_a_road_comes_back_from_csv(tmp_path: Path, network: Network) -> None:
     assert [(one.name, one.successors, one.speed_limit) for one in back.lanes] == [
         (one.name, one.successors, one.speed_limit) for one in network.lanes
     ]
-    assert {(one.lane, one.other, one.enter_m, one.yields) for one in back.conflicts} == {
-        (one.lane, one.other, one.enter_m, one.yields) for one in network.conflicts
+    assert {(one.lane, one.other, one.stop_m, one.enter_m, one.yields) for one in back.conflicts} == {
+        (one.lane, one.other, one.stop_m, one.enter_m, one.yields) for one in network.conflicts
     }
     time = np.linspace(0.0, 120.0, 50)
     for one, other in zip(back.signals, network.signals, strict=True):
