@@ -4,9 +4,9 @@ A line stands where lanes meet, and at a signal. It is a virtual leader: a vehic
 driver pays attention to it while somebody who goes first would be in the way: the attention, from 0 to 1, is the weight
 of the line's collision penalty beside the penalty of the leader (paper, sections 3.2 and 7).
 
-The times of arrival are compared as in the theory of gap acceptance. The driver can be at the line after some time, at
-the largest acceleration. Who goes first is in the way if they reach the place behind the line earlier than
-``TIME_GAP_S`` after that, and leave it later than that. A driver who can no longer stop goes on.
+The times of arrival are compared as in the theory of gap acceptance. Who goes first is in the way if they reach the
+place behind the line earlier than ``TIME_GAP_S`` after the driver would be through, at a usual acceleration, and if
+they leave it after the driver can be at the line, at the largest acceleration. A driver who can no longer stop goes on.
 
 References
 ----------
@@ -18,9 +18,13 @@ import math
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.jit import kernel
 
-#: Time [s] that a driver needs free, from the line on, before somebody who goes first. Critical headways of single-lane
-#: roundabouts and of minor roads are 4 to 5 s.
-TIME_GAP_S = 4.0
+#: Time [s] that a driver wants between being through and somebody who goes first. A driver who starts from a line then
+#: accepts gaps from 4.4 s on: critical headways of single-lane roundabouts and of minor roads are 4 to 5 s.
+TIME_GAP_S = 1.5
+#: Way [m] from a line until a vehicle is through: the width of a lane, and the room that a car on it takes.
+_THROUGH_M = 6.0
+#: Usual acceleration [m/s^2] of drivers who start.
+USUAL = 1.5
 #: Time [s] within which attention comes and goes.
 SOFT_S = 0.3
 # Share of the hardest braking within which attention goes from a line that comes too late.
@@ -57,11 +61,12 @@ def attention(gap: float, speed: float, arrive_s: float, clear_s: float, time_ga
     """Compute the attention, from 0 to 1, that a driver pays to a line.
 
     gap: to the line [m]; speed: own [m/s]; arrive_s, clear_s: times [s] until who goes first reaches the place behind
-    the line, and until they have left it; time_gap_s: time [s] that the driver needs free.
+    the line, and until they have left it; time_gap_s: time [s] that the driver wants after being through.
     """
     if not 0.0 < gap < math.inf:
         return 0.0
-    needed = time_to_line(gap, speed)
-    in_the_way = smooth_step((needed + time_gap_s - arrive_s) / SOFT_S) * smooth_step((clear_s - needed) / SOFT_S)
+    through = time_over(gap + _THROUGH_M, speed, USUAL)
+    in_the_way = smooth_step((through + time_gap_s - arrive_s) / SOFT_S)
+    in_the_way *= smooth_step((clear_s - time_to_line(gap, speed)) / SOFT_S)
     braking = max(speed, 0.0) ** 2 / (2.0 * gap * _HARDEST)
     return in_the_way * smooth_step((1.0 - braking) / _SOFT_BRAKING)

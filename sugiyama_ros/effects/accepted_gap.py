@@ -11,7 +11,7 @@ from sugiyama_ros.jit import kernel
 @kernel
 def _attend(attention: float, seen: Seen, p: Array) -> float:
     """Compute the attention anew, with another time gap; other effects on the attention come after this one."""
-    return attention_of(seen.line_gap, seen.speed, seen.arrive_s, seen.clear_s, max(TIME_GAP_S + p[0], 0.0))
+    return attention_of(seen.line_gap, seen.speed, seen.arrive_s, seen.clear_s, TIME_GAP_S + p[0])
 
 
 EFFECT = Effect(

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints, Mask
-from sugiyama_ros.driver.line import SOFT_S, TIME_GAP_S, attention, time_over, time_to_line
+from sugiyama_ros.driver.line import SOFT_S, TIME_GAP_S, USUAL, attention, time_over, time_to_line
 from sugiyama_ros.driver.parameters import REFERENCE_HORIZON, REFERENCE_PERIOD_S
 from sugiyama_ros.jit import kernel
 from sugiyama_ros.roads.network import Network, Path
@@ -25,8 +25,7 @@ from sugiyama_ros.trajectories.tracks import LINE, NOBODY, Tracks
 
 #: Way [m] within which a driver looks for lines.
 VIEW_M = 100.0
-# Acceleration [m/s^2] that a driver expects of others who go first, and speed [m/s] below which a vehicle stands.
-_USUAL = 1.5
+# Speed [m/s] below which a vehicle stands.
 _STANDING = 0.3
 # Time [s] after green for which a signal is still seen as one that has turned green.
 _AFTER_GREEN_S = 10.0
@@ -176,7 +175,7 @@ def _met(i: int, c: int, needed: float, now: Moment, ways: RouteLines) -> tuple[
             continue
         if to_enter > 0.0 and _is_held(j, begin + ways.other_enter[c], now, ways):
             continue
-        arrive = time_over(to_enter, now.speed[j], _USUAL)
+        arrive = time_over(to_enter, now.speed[j], USUAL)
         leave = to_leave / max(now.speed[j], _STANDING)
         if leave > needed - 3.0 * SOFT_S and not arrive >= first:
             first, clear = arrive, leave

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import sugiyama_ros as sg
-from sugiyama_ros.driver.line import TIME_GAP_S, attention, time_to_line
+from sugiyama_ros.driver.line import TIME_GAP_S, attention, time_over, time_to_line
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_NU, V_STAR, defaults, population
 from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.filters.causal import filter_chain
@@ -54,9 +54,9 @@ def test_the_time_to_a_line_is_that_of_an_even_acceleration():
 
 def test_attention_comes_with_who_goes_first_and_goes_with_them():
     at_line = 1.0, 0.0
-    needed = time_to_line(*at_line)
-    assert attention(*at_line, needed + TIME_GAP_S + 3.0, 20.0, TIME_GAP_S) < 1e-3
-    assert attention(*at_line, needed + TIME_GAP_S - 3.0, 20.0, TIME_GAP_S) > 0.999
+    through = time_over(1.0 + 6.0, 0.0, 1.5)
+    assert attention(*at_line, through + TIME_GAP_S + 3.0, 20.0, TIME_GAP_S) < 1e-3
+    assert attention(*at_line, through + TIME_GAP_S - 3.0, 20.0, TIME_GAP_S) > 0.999
     # they have left before the driver comes
     assert attention(40.0, 8.0, 0.3, 0.9, TIME_GAP_S) < 1e-2
     # nobody can stop any more, or there is no line
