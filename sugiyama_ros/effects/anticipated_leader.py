@@ -46,7 +46,7 @@ EFFECT = Effect(
     stage=UTILITY,
     title="foresight of the leader's acceleration",
     summary="drivers expect that the leader goes on accelerating or braking during the look-ahead",
-    term="omega2 (risk(x_lead + v_lead tau + weight a_lead tau (tau - 1) / 2) - risk(x_lead + v_lead tau))",
+    term="x_lead + v_lead tau -> x_lead + v_lead tau + weight a_lead tau (tau - 1) / 2",
     source="paper, section 3.1: the leader's action counts as 0, other than in betaNash of Dai et al. (2020)",
     parameters=(
         Parameter("weight", "w_a", "1", 0.0, -2.0, 2.0, "share of the leader's acceleration that the driver expects"),

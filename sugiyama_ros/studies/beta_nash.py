@@ -131,7 +131,7 @@ def _answer(asked: Asked) -> Answer:
 
 
 STUDY = Study(
-    name="beta_nash",
+    name="beta-nash",
     question="Does it change who goes first at a barrier that drivers bargain?",
     paper=(
         "adaptiveSeek approximates the Nash equilibrium of betaNash well in simplified settings, and costs less"
