@@ -57,6 +57,12 @@ def time_to_line(gap: float, speed: float) -> float:
 
 
 @kernel
+def time_through(gap: float, speed: float) -> float:
+    """Compute the time [s] after which a driver is through the place behind a line, at a usual acceleration."""
+    return time_over(gap + _THROUGH_M, speed, USUAL)
+
+
+@kernel
 def attention(gap: float, speed: float, arrive_s: float, clear_s: float, time_gap_s: float) -> float:
     """Compute the attention, from 0 to 1, that a driver pays to a line.
 
@@ -65,8 +71,7 @@ def attention(gap: float, speed: float, arrive_s: float, clear_s: float, time_ga
     """
     if not 0.0 < gap < math.inf:
         return 0.0
-    through = time_over(gap + _THROUGH_M, speed, USUAL)
-    in_the_way = smooth_step((through + time_gap_s - arrive_s) / SOFT_S)
+    in_the_way = smooth_step((time_through(gap, speed) + time_gap_s - arrive_s) / SOFT_S)
     in_the_way *= smooth_step((clear_s - time_to_line(gap, speed)) / SOFT_S)
     braking = max(speed, 0.0) ** 2 / (2.0 * gap * _HARDEST)
     return in_the_way * smooth_step((1.0 - braking) / _SOFT_BRAKING)
