@@ -18,8 +18,9 @@ import math
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.jit import kernel
 
-#: Time [s] that a driver wants between being through and somebody who goes first. A driver who starts from a line then
-#: accepts gaps from 4.4 s on: critical headways of single-lane roundabouts and of minor roads are 4 to 5 s.
+#: Time [s] that a driver wants between being through and somebody who goes first. At a line, attention is then one half
+#: at a gap of 4.6 s. A typical driver starts at gaps of 5.9 s and more, since little attention is enough to hold them.
+#: Critical headways of single-lane roundabouts and of minor roads are 4 to 5 s.
 TIME_GAP_S = 1.5
 #: Way [m] from a line until a vehicle is through: the width of a lane, and the room that a car on it takes.
 _THROUGH_M = 6.0
