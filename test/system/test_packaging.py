@@ -77,8 +77,11 @@ def test_every_number_of_an_interface_has_a_unit(path: Path) -> None:
             name = field.split()[1]
             assert comment.strip(), f"{name}: what is it?"
             assert name in WITHOUT_UNIT or re.search(r"\[\S+\]|\bSI units\b", comment), f"{name}: in which unit?"
-            for suffix, unit in (("_m", "[m]"), ("_s", "[s]")):
-                assert not name.endswith(suffix) or unit in comment, f"{name} is not in {unit}"
+            for suffix, unit in (("_per_m", "[1/m]"), ("_m", "[m]"), ("_s", "[s]")):
+                if not name.endswith(suffix):
+                    continue
+                assert unit in comment, f"{name} is not in {unit}"
+                break
 
 
 def test_installed_share_directory_is_found_and_current(
