@@ -17,10 +17,8 @@ from sugiyama_ros.driver.utility import (
     GRID_ROW,
     UTILITY_ROW,
     Preferences,
-    anticipate,
-    collision_penalty,
-    gap_scale,
     preferences,
+    risk_behind,
     scratch_for,
     utilities,
 )
@@ -144,19 +142,6 @@ def see_lanes(on: OnLanes, spans: Mapping[int, LaneSpan]) -> ThreeLanes:
     return ThreeLanes(on.speed, on.length_m, gap(ahead, 1.0), speeds[0], gap(behind, -1.0), speeds[1], end_m, is_open)
 
 
-@kernel(vectorised=True)
-def rear_risk(
-    gap: float, speed: float, other_speed: float, action: float, period: float, horizon: int, driver: Preferences
-) -> float:
-    """Compute the largest risk, from 0 to 1, of a vehicle behind that keeps its speed, while the driver accelerates."""
-    _, kappa_v, _, kappa_c, kappa_d, _, _ = driver
-    least = np.inf
-    for tau in range(1, horizon + 1):
-        gap_then, _ = anticipate(-action, tau, gap, other_speed, speed, period)
-        least = min(least, gap_then / gap_scale(other_speed, speed + tau * period * action, kappa_c, kappa_v, kappa_d))
-    return collision_penalty(least)
-
-
 @kernel
 def _worth(
     speed: float, leader: tuple[float, float, float], scratch: Array, period: float, horizon: int, driver: Preferences
@@ -191,7 +176,7 @@ def _features(lanes: ThreeLanes, parameters: Array, grid: Array, period: float, 
                 features[r, m, 2] = -1.0
                 if lanes.rear_gap_m[r, m] < np.inf:
                     gap, behind = lanes.rear_gap_m[r, m], lanes.rear_speed[r, m]
-                    risk = rear_risk(gap, lanes.speed[r], behind, action, period, horizon, driver)
+                    risk = risk_behind(gap, lanes.speed[r], behind, action, period, horizon, driver)
                     features[r, m, 1] = driver[5] * risk
     return features
 

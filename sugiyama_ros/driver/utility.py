@@ -126,6 +126,28 @@ def risk_ahead(
 
 
 @kernel(vectorised=True)
+def _gap_behind(
+    action: float, tau: int, gap: float, speed: float, other_speed: float, period: float, driver: Preferences
+) -> tuple[float, float]:
+    """Compute the gap [m] to the vehicle behind, and its scale [m], ``tau`` periods ahead."""
+    gap_ahead, _ = anticipate(-action, tau, gap, other_speed, speed, period)
+    return gap_ahead, gap_scale(other_speed, speed + tau * period * action, driver[3], driver[1], driver[4])
+
+
+@kernel(vectorised=True)
+def risk_behind(
+    gap: float, speed: float, other_speed: float, action: float, period: float, horizon: int, driver: Preferences
+) -> float:
+    """Compute the largest risk, from 0 to 1, of a vehicle behind in the look-ahead, which keeps its speed."""
+    near, wide = _gap_behind(action, 1, gap, speed, other_speed, period, driver)
+    for tau in range(2, horizon + 1):
+        gap_then, wide_then = _gap_behind(action, tau, gap, speed, other_speed, period, driver)
+        if gap_then * wide < near * wide_then:
+            near, wide = gap_then, wide_then
+    return collision_penalty(near / wide)
+
+
+@kernel(vectorised=True)
 def _smallest_gaps(
     gap: float, speed: float, leader_speed: float, driver: Preferences, scratch: Array, period: float, horizon: int
 ) -> None:

@@ -4,7 +4,7 @@ import math
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
-from sugiyama_ros.driver.utility import Preferences, anticipate, collision_penalty, gap_scale
+from sugiyama_ros.driver.utility import Preferences, risk_behind
 from sugiyama_ros.effects.effect import ACTUATION, UTILITY, Effect, Seen, at
 from sugiyama_ros.jit import kernel
 
@@ -18,33 +18,11 @@ def _actuate(acceleration: float, seen: Seen, p: Array) -> float:
 
 
 @kernel(vectorised=True)
-def _gap_behind(
-    action: float, tau: int, gap: float, speed: float, other_speed: float, period: float, driver: Preferences
-) -> tuple[float, float]:
-    """Compute the gap [m] to the vehicle behind, and its scale [m], ``tau`` periods ahead."""
-    gap_ahead, _ = anticipate(-action, tau, gap, other_speed, speed, period)
-    return gap_ahead, gap_scale(other_speed, speed + tau * period * action, driver[3], driver[1], driver[4])
-
-
-@kernel(vectorised=True)
-def _risk_behind(
-    gap: float, speed: float, other_speed: float, action: float, period: float, horizon: int, driver: Preferences
-) -> float:
-    """Compute the largest risk, from 0 to 1, of a vehicle behind in the look-ahead, which keeps its speed."""
-    near, wide = _gap_behind(action, 1, gap, speed, other_speed, period, driver)
-    for tau in range(2, horizon + 1):
-        gap_then, wide_then = _gap_behind(action, tau, gap, speed, other_speed, period, driver)
-        if gap_then * wide < near * wide_then:
-            near, wide = gap_then, wide_then
-    return collision_penalty(near / wide)
-
-
-@kernel(vectorised=True)
 def _component(seen: Seen, action: float, period: float, horizon: int, p: Array, driver: Preferences) -> float:
     """Compute the risk that the follower runs into the car, as the driver judges the risk of the leader."""
     if math.isinf(seen.rear_gap):
         return 0.0
-    risk = _risk_behind(seen.rear_gap, seen.speed, seen.rear_speed, action, period, horizon, driver)
+    risk = risk_behind(seen.rear_gap, seen.speed, seen.rear_speed, action, period, horizon, driver)
     return float(p[0] * driver[5] * risk)
 
 

@@ -21,7 +21,6 @@ from sugiyama_ros.driver.lane_change import (
     choose,
     lane_features,
     neighbours,
-    rear_risk,
     see_lanes,
 )
 from sugiyama_ros.driver.parameters import REFERENCE_HORIZON, REFERENCE_PERIOD_S, defaults
@@ -31,6 +30,7 @@ from sugiyama_ros.driver.utility import (
     collision_penalty,
     gap_scale,
     preferences,
+    risk_behind,
     scratch_for,
     utilities,
 )
@@ -106,7 +106,7 @@ def test_the_follower_counts_with_the_roles_exchanged():
         t, way = tau * REFERENCE_PERIOD_S, REFERENCE_PERIOD_S**2 * tau * (tau - 1) / 2.0
         gap = 7.0 + t * (8.0 - 10.0) - 2.0 * way
         ratios.append(gap / gap_scale(10.0, 8.0 - 2.0 * t, kappa_c, kappa_v, kappa_d))
-    risk = rear_risk(7.0, 8.0, 10.0, -2.0, REFERENCE_PERIOD_S, REFERENCE_HORIZON, driver)
+    risk = risk_behind(7.0, 8.0, 10.0, -2.0, REFERENCE_PERIOD_S, REFERENCE_HORIZON, driver)
     assert risk == pytest.approx(collision_penalty(min(ratios)), abs=1e-12)
     followed = lane_features(seen(rear=(7.0, 7.0, INF), rear_speed=(10.0, 10.0, 0.0)), defaults())[0]
     assert followed[KEEP].tolist() == [followed[KEEP, 0], 0.0, 0.0]
