@@ -136,7 +136,7 @@ def _choices(
 
 
 def simulate(
-    vehicles: int = 22,
+    vehicles: int | None = None,
     *,
     parameters: Mapping[str, float] | None = None,
     effects: Mapping[str, Mapping[str, float]] | None = None,
@@ -150,14 +150,14 @@ def simulate(
 
     Parameters
     ----------
-    vehicles : int
-        Number of vehicles.
+    vehicles : int, optional
+        Number of vehicles; by default those of the model file, or 22.
     parameters : mapping of str to float, optional
         Parameters of all drivers, such as ``{"v_star": 8.0}``; the paper's where they are left out.
     effects : mapping of str to mapping, optional
         Effects on all drivers with their values, such as ``{"drag": {"c0": 0.3}}``.
     model : str or Path, optional
-        Model file with parameters and effects of each driver.
+        Model file with parameters and effects of each driver, the road, lengths, and how often drivers decide.
     law : str
         Name of the law by which all drivers drive, such as ``"idm"``, with its usual values; the paper's by default.
     controlled : sequence of int, optional
@@ -188,16 +188,17 @@ def simulate(
     _check_names("simulate", settings, Experiment.__dataclass_fields__)
     for field, bounds in _SIMULATE.items():
         _check_within(field, settings.get(field), *bounds)
-    experiment = Experiment(**settings)
-    experiment.check(vehicles)
-    rows = changed(_rows(vehicles, model, law), parameters or {}, effects or {})
+    file = None if model is None else drivers_of(Path(model), law)
+    count = vehicles if vehicles is not None else 22 if file is None else len(file.vehicle)
+    experiment = Experiment(**{**(file.conditions.of_experiment(count) if file is not None else {}), **settings})
+    experiment.check(count)
+    rows = _usual_drivers(count, law) if file is None else file.simulated(count)
+    rows = changed(rows, parameters or {}, effects or {})
     return carry_out(experiment, rows, controlled_by(controlled, controller))
 
 
-def _rows(vehicles: int, model: str | Path | None, law: str) -> Array:
-    """Rows (N, width) of the drivers of a model file, or of drivers who are all alike."""
-    if model is not None:
-        return drivers_of(Path(model), law).rows_of(np.arange(vehicles))
+def _usual_drivers(vehicles: int, law: str) -> Array:
+    """Rows (N, width) of drivers who are all alike."""
     rows = ROW.with_effects(defaults(vehicles))
     return rows if law == PAPERS else np.array([drive_by(row, law) for row in rows])
 

@@ -7,6 +7,9 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 
+#: For which the model makes sense: time [s] between samples, circumference [m] of a ring, length [m] of a vehicle.
+PERIODS_S, RINGS_M, LENGTHS_M = (1e-3, 1e3), (1.0, 1e7), (0.01, 100.0)
+
 
 @dataclass(frozen=True)
 class Road:

@@ -162,13 +162,13 @@ def _outliers(strength: float, scene: Setup, rng: np.random.Generator) -> Built:
 
 
 def _push(strength: float, scene: Setup, rng: np.random.Generator) -> Built:
-    """One car is pushed back for some seconds."""
+    """One car is once braked hard."""
     who = np.arange(scene.drivers) == rng.integers(0, scene.drivers - 1)
     time = float(rng.uniform(0.3, 0.7)) * scene.duration_s
 
     def force(moment: History, view: Sight) -> Array:
-        off = (moment.now.time_s - time) / 2.0
-        return np.full(scene.drivers, -1.5 * strength * float(np.exp(-0.5 * off * off)))
+        off = (moment.now.time_s - time) / 1.2
+        return np.full(scene.drivers, -4.0 * strength * float(np.exp(-0.5 * off * off)))
 
     return Built(Hidden(push=force, who=who), {"external_push.time": time})
 
@@ -329,6 +329,17 @@ def _second_harmonic(x: Array, scene: Setup, rng: np.random.Generator, strength:
     return np.asarray(x + 0.8 * strength * np.sin(2.0 * turn + rng.uniform(0.0, 2.0 * np.pi)))
 
 
+def _off_centre(x: Array, scene: Setup, rng: np.random.Generator, strength: float) -> Array:
+    """The camera is not above the centre of the ring: positions are off once around it."""
+    turn = 2.0 * np.pi * x / (scene.ring_m or 230.0)
+    return np.asarray(x + 1.2 * strength * np.sin(turn + rng.uniform(0.0, 2.0 * np.pi)))
+
+
+def _body_offset(x: Array, scene: Setup, rng: np.random.Generator, strength: float) -> Array:
+    """The camera follows another point of each car: positions are off by a length of the car's own."""
+    return np.asarray(x + 0.6 * strength * rng.standard_normal(x.shape[1]))
+
+
 def _held_frames(x: Array, scene: Setup, rng: np.random.Generator, strength: float) -> Array:
     """Some frames repeat the frame before."""
     found = x.copy()
@@ -371,6 +382,8 @@ def _missing(x: Array, scene: Setup, rng: np.random.Generator, strength: float) 
 #: Faults that a diagnosis should not take for behaviour, and the names of the catalogue that are faults as well.
 FAULTS: Mapping[str, tuple[Builder, tuple[str, ...]]] = {
     "clock offset": (_spoiled(_clock_offset), ("gap_offset", "clock_offset")),
+    "off centre": (_spoiled(_off_centre), ("sensor_eccentricity",)),
+    "body offset": (_spoiled(_body_offset), ("gap_offset",)),
     "second harmonic": (_spoiled(_second_harmonic), ("sensor_eccentricity",)),
     "held frames": (_spoiled(_held_frames), ("outlier_noise", "noise_constants")),
     "rounding": (_spoiled(_rounding), ("noise_constants",)),

@@ -14,6 +14,7 @@ import numpy as np
 from sugiyama_ros.bridges.bridge import NS, UNITS_NS, Bridge
 from sugiyama_ros.bridges.frames import Frames
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.road import PERIODS_S
 from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M
 from sugiyama_ros.trajectories.assemble import LONGEST_ABSENCE_S
 from sugiyama_ros.trajectories.centre_line import RoadLanes
@@ -32,8 +33,8 @@ _STAMPS = 6
 _SETTLED_S = 1.0
 # A number at the end of a name, perhaps written as 5.0, and perhaps with something behind it.
 _NUMBER = re.compile(r"(\d+)(?:\.0*)?\D*$")
-# Shortest and longest time [s] between two samples, and the time where nobody says it.
-_PERIODS_S, _DEFAULT_PERIOD_S = (1e-3, 1e3), 0.1
+# Time [s] between two samples where nobody says it.
+_DEFAULT_PERIOD_S = 0.1
 #: Share of what is seen that may be lost before something is wrong.
 MOST_LOST = 0.01
 #: Ratio of the longest to the shortest period that is noted.
@@ -67,8 +68,8 @@ class PerceptionSettings:
     length_m: float = DEFAULT_LENGTH_M
 
     def __post_init__(self) -> None:
-        if self.period_s is not None and not _PERIODS_S[0] <= self.period_s <= _PERIODS_S[1]:
-            raise InputError(f"period: {self.period_s:g} s is not within {_PERIODS_S[0]:g} to {_PERIODS_S[1]:g} s")
+        if self.period_s is not None and not PERIODS_S[0] <= self.period_s <= PERIODS_S[1]:
+            raise InputError(f"period: {self.period_s:g} s is not within {PERIODS_S[0]:g} to {PERIODS_S[1]:g} s")
         if not 0.0 < self.length_m < math.inf:
             raise InputError(f"length: {self.length_m:g} m is not the length of a vehicle; give a positive number")
 

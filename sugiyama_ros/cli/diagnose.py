@@ -236,7 +236,7 @@ def compare(options: _CompareOptions) -> None:
 def _print_compared(found: Mapping[str, Any], options: _CompareOptions, given: "model_file.ModelFile | None") -> None:
     """Print which model forecasts best, and the table; ``given``: what the model file holds."""
     from sugiyama_ros.page import tables
-    from sugiyama_ros.page.words import best_model, left_out
+    from sugiyama_ros.page.words import best_model, left_out, use_of_file
 
     def again(**changed: object) -> str:
         return command_line("compare", _CompareOptions, **{**vars(options), **changed})
@@ -249,14 +249,8 @@ def _print_compared(found: Mapping[str, Any], options: _CompareOptions, given: "
         anew = given.effects_to_fit() if given is not None else ()
         fit = f"; fitted anew without what is predicted: {again(effects=','.join(anew), model=None)}" if anew else ""
         print_line(f"{options.model} was fitted to this recording, so its errors are in sample{fit}")
-    elif given is not None:
-        drivers = [one["vehicle"] for one in models[0]["drivers"]]
-        same = sum(number in given.vehicle for number in drivers)
-        median = "" if same == len(drivers) else " and the others those of its median driver"
-        print_line(
-            f"{options.model} is taken as it is, while all other models are fitted to this recording: {same} of"
-            f" {len(drivers)} drivers have the parameters of the vehicle with their number{median}"
-        )
+    elif (used := use_of_file(found, str(options.model))) is not None:
+        print_line(used)
     print_table(tables.compared(found, show_all=options.show_all))
     if not options.show_all:
         print_line(f"all {len(models)} models, and what the whole road does: {again(show_all=True)}")

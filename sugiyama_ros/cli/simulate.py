@@ -27,7 +27,12 @@ from sugiyama_ros.laws import PAPERS
 
 if TYPE_CHECKING:
     from sugiyama_ros.arrays import Array
+    from sugiyama_ros.fit import model_file
     from sugiyama_ros.simulation.experiment import Experiment
+
+
+# Number of vehicles, unless a model file or somebody says otherwise.
+_VEHICLES = 22
 
 
 @dataclass(frozen=True)
@@ -38,10 +43,15 @@ class _SimulateOptions:
         Path,
         typer.Option("--output", "-o", help="File to write: .mcap or .csv; for tracks, .parquet or .csv."),
     ]
-    vehicles: Annotated[int, typer.Option(min=1, help="Number of vehicles, on each lane.")] = 22
+    vehicles: Annotated[
+        int | None,
+        typer.Option(min=1, help="Number of vehicles, on each lane. By default those of the model file, or 22."),
+    ] = None
     ring: Annotated[
         float | None,
-        typer.Option(min=0.0, help="Circumference of the ring [m]; 0 for an open road. By default 230."),
+        typer.Option(
+            min=0.0, help="Circumference of the ring [m]; 0 for an open road. By default the model file's, or 230."
+        ),
     ] = None
     lanes: Annotated[
         int | None, typer.Option(min=1, max=100, help="Simulate an open road with so many lanes, and write tracks.")
@@ -55,7 +65,10 @@ class _SimulateOptions:
         typer.Option(help="With --lanes: FROM,TO: part of the road [m] on which vehicles are seen. By default all."),
     ] = None
     duration: Annotated[float, typer.Option(min=1.0, help="Duration of the simulation [s].")] = 250.0
-    period: Annotated[float, typer.Option(min=0.01, max=2.0, help="Time between two samples [s].")] = 1.0 / 3.0
+    period: Annotated[
+        float | None,
+        typer.Option(min=0.01, max=2.0, help="Time between two samples [s]. By default the model file's, or 1/3."),
+    ] = None
     spread: Annotated[
         float,
         typer.Option(min=0.0, max=1.0, help="Relative standard deviation of v_star and kappa_v over the drivers."),
@@ -85,6 +98,7 @@ def simulate(options: _SimulateOptions) -> None:
     first vehicle starts at 0 m and all others behind it.
     """
     print_cautions(options.model)
+    from sugiyama_ros.fit.model_file import drivers_of
     from sugiyama_ros.simulation.experiment import Experiment
 
     if options.lanes is None and options.view is not None:
@@ -97,14 +111,18 @@ def simulate(options: _SimulateOptions) -> None:
         _check_scene(options)
     is_tracks = options.lanes is not None or options.scene is not None
     output = to_write(options.output, options.overwrite, ".parquet" if is_tracks else ".mcap", ".csv")
-    vehicles = options.vehicles * (options.lanes or 1)
-    ring_m = options.ring if options.ring is not None else 0.0 if is_tracks else Experiment.ring_m
+    file = None if options.model is None else drivers_of(options.model, options.law, "--{}".format)
+    usual = _VEHICLES if file is None or is_tracks else len(file.vehicle)
+    vehicles = (options.vehicles or usual) * (options.lanes or 1)
+    of_file = {} if file is None else file.conditions.of_experiment(vehicles)
+    given = {"ring_m": 0.0 if is_tracks and not options.ring else options.ring, "period_s": options.period}
+    fields: dict[str, Any] = {**of_file, **{name: value for name, value in given.items() if value is not None}}
     experiment = Experiment(
-        ring_m, options.duration, period_s=options.period, spread=options.spread, seed=options.seed, start=options.start
+        **fields, duration_s=options.duration, spread=options.spread, seed=options.seed, start=options.start
     )
     experiment.check(vehicles)
     drive = _at_scene if options.scene is not None else _on_one_lane if options.lanes is None else _on_lanes
-    document, lines = drive(options, experiment, _rows(options, vehicles), output)
+    document, lines = drive(options, experiment, _rows(options, file, vehicles), output)
     if options.as_json:
         print_json({"output": str(options.output), "vehicles": vehicles, **document, "seed": options.seed})
         return
@@ -184,7 +202,7 @@ def _at_scene(
         options.seed,
         duration_s=options.duration,
         spread=options.spread,
-        period_s=options.period,
+        period_s=experiment.period_s,
     )
     write_tracks(run.measured, output)
     document = {
@@ -210,19 +228,17 @@ def _view(text: str | None) -> tuple[float, float]:
     return first, last
 
 
-def _rows(options: _SimulateOptions, vehicles: int) -> "Array":
+def _rows(options: _SimulateOptions, file: "model_file.ModelFile | None", vehicles: int) -> "Array":
     """Parameters (N, WIDTH) of N drivers: the paper's or a model file's, changed by --set and --effect."""
     import numpy as np
 
     from sugiyama_ros.driver.parameters import defaults
     from sugiyama_ros.effects.registry import ROW, read_effect, read_parameter
-    from sugiyama_ros.fit.model_file import drive_by, drivers_of
+    from sugiyama_ros.fit.model_file import drive_by
     from sugiyama_ros.simulation.experiment import changed
 
-    rows = ROW.with_effects(defaults(vehicles))
-    if options.model is not None:
-        rows = drivers_of(options.model, options.law, "--{}".format).rows_of(np.arange(vehicles))
-    elif options.law != PAPERS:
+    rows = ROW.with_effects(defaults(vehicles)) if file is None else file.simulated(vehicles)
+    if options.law != PAPERS:
         rows = np.array([drive_by(row, options.law) for row in rows])
     for text in options.parameter or ():
         rows = changed(rows, dict([read_parameter(text, "--set")]), {})

@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 
 from sugiyama_ros.diagnosis.candidates import Candidate
-from sugiyama_ros.diagnosis.forecast import Surroundings, forecasts
+from sugiyama_ros.diagnosis.forecast import forecasts
 from sugiyama_ros.diagnosis.refine import without_folds
 from sugiyama_ros.diagnosis.score import scores
-from sugiyama_ros.diagnosis.table import Entry, paired, sum_error
+from sugiyama_ros.diagnosis.table import Entry, paired
 from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.filters.abreast import ABREAST
@@ -27,6 +27,7 @@ from sugiyama_ros.fit.smooth_positions import FREED, ROUNDING
 from sugiyama_ros.laws.registry import LAWS, PAPERS, name_of
 from sugiyama_ros.progress import OnStage
 from sugiyama_ros.results import CLEARLY
+from sugiyama_ros.statistics import sum_error
 from sugiyama_ros.trajectories.tracks import Tracks
 
 # Standard errors by which another base model must be better: a missing effect makes it a little better, too.
@@ -94,8 +95,8 @@ def _where_measured(data: Recorded, samples: PointwiseDensity, every: int) -> Po
     return known
 
 
-def laws(data: Recorded, around: Surroundings, final: Entry, work: ThreadPoolExecutor) -> tuple[Entry, ...]:
-    """Fit all other laws that are not far behind a model one step ahead; ``around``: the traffic of the forecasts."""
+def laws(data: Recorded, final: Entry, work: ThreadPoolExecutor) -> tuple[Entry, ...]:
+    """Fit all other laws that are not far behind a model one step ahead."""
     own = name_of(float(final.fit.model.rows[0, ROW.law]))
     found = []
     for law in LAWS:
@@ -103,7 +104,7 @@ def laws(data: Recorded, around: Surroundings, final: Entry, work: ThreadPoolExe
             continue
         fit = in_filter(data, law, work)
         models = without_folds(data, fit, work)
-        found.append(Entry(law, (), fit, models, forecasts(data, around, models, work)))
+        found.append(Entry(law, (), fit, models, forecasts(data, models, work)))
     return tuple(found)
 
 

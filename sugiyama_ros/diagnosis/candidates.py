@@ -20,6 +20,7 @@ from sugiyama_ros.filters.first_look import SIGMAS
 from sugiyama_ros.fit.joint import LARGEST_STD
 from sugiyama_ros.fit.model import Model, PointwiseDensity
 from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.statistics import Tail
 
 #: What a candidate changes. Constants and noises never explain anything.
 Kind = Literal["effect", "measurement", "force", "constants", "noise"]
@@ -31,6 +32,8 @@ FORCE, FORCE_ALONG = "discovered_force", "force_along_"
 PUSH = "external_push"
 # Lengths of a run of innovations [s] that are tried for a push; acceleration [m/s^2] at which its search begins.
 _RUNS_S, _PUSH = (1.0, 2.0, 4.0), 0.5
+# Sizes at which an effect is scored whose only start has one strength, over this strength.
+_SIZES = (1.0, 0.25, 4.0)
 #: What is added to the name of a candidate that only some drivers have.
 OF_SOME = "_of_some"
 
@@ -46,8 +49,8 @@ class Candidate:
     strengths of an effect: where all of them are 0, the effect does nothing; drivers: Numbers of the drivers who have
     it; empty for all; is_random: Whether the candidate changes how uncertain a forecast is, and not its mean: noises,
     and what wanders; is_decision: Whether it changes what drivers decide to do, go or wait, whose consequences are
-    large however small the change; elsewhere: Logarithm of the number of places, times and cars among which the start
-    was chosen (look-elsewhere effect).
+    large however small the change; look_elsewhere_nats: Gain that the best of all places, times and cars has by chance,
+    among which the start was chosen (look-elsewhere effect); 0 for what was not chosen so.
     """
 
     name: str
@@ -60,7 +63,7 @@ class Candidate:
     drivers: tuple[int, ...] = ()
     is_random: bool = False
     is_decision: bool = False
-    elsewhere: float = 0.0
+    look_elsewhere_nats: float = 0.0
 
     @property
     def explains(self) -> bool:
@@ -71,6 +74,11 @@ class Candidate:
     def is_judged_at_starts(self) -> bool:
         """Whether its gain at the starts counts: how the likelihood changes near the model says nothing of it."""
         return self.is_random or self.is_decision
+
+    @property
+    def is_single_event(self) -> bool:
+        """Whether it happens once, to one car: no other block of time shows it."""
+        return self.look_elsewhere_nats > 0.0
 
     @property
     def has_sign(self) -> bool:
@@ -119,12 +127,18 @@ def candidates(data: Recorded) -> tuple[Candidate, ...]:
 def _of_effect(e: Effect, data: Recorded) -> Candidate:
     kind: Kind = "measurement" if e.stage == MEASUREMENT else "constants" if e.is_constant else "effect"
     switches = tuple(index_of(e.name, name) for name in e.switches)
+    starts = tuple({index_of(e.name, p): v for p, v in values.items()} for values in e.starts(recording_of(data)))
+    if len(starts) == len(switches) == 1 and switches[0] in starts[0]:
+        # one size says nothing of another one where an effect is no straight line: a threshold, a limit
+        (start,), (strength,) = starts, switches
+        sizes = [(strength, times * start[strength]) for times in _SIZES]
+        starts = tuple({**start, k: v} for k, v in sizes if ROW.declared[k].lower <= v <= ROW.declared[k].upper)
     return Candidate(
         name=e.name,
         mechanism=MECHANISM[e.name],
         kind="noise" if e.is_noise and kind == "effect" else kind,
         places=tuple(index_of(e.name, p.name) for p in e.parameters if p.name not in e.fixed),
-        starts=tuple({index_of(e.name, p): v for p, v in values.items()} for values in e.starts(recording_of(data))),
+        starts=starts,
         individual=e.individual,
         switches=switches,
         is_random=e.is_noise or bool(e.wanders),
@@ -250,7 +264,7 @@ def push_of_one(data: Recorded, samples: PointwiseDensity) -> Candidate | None:
         return None
     scored = np.isfinite(samples.log_likelihood)
     z = np.where(scored, samples.innovation_m / np.sqrt(samples.innovation_var), 0.0)
-    places, best = 1.0, (0.0, 0, 0, 0.0)
+    places, best, there = 1.0, (0.0, 0, 0, 0.0), list[Array]()
     for run_s in _RUNS_S:
         length = max(1, round(run_s / around.period_s))
         if length >= z.shape[1]:
@@ -260,6 +274,7 @@ def push_of_one(data: Recorded, samples: PointwiseDensity) -> Candidate | None:
         car, at = divmod(int(np.argmax(np.abs(sums))), sums.shape[1])
         # runs that overlap by half count as one place
         places += 2.0 * scored.sum() / length
+        there.append(0.5 * np.square(sums).ravel())
         if abs(sums[car, at]) > abs(best[0]):
             best = (float(sums[car, at]), car, at, run_s)
     value, car, at, run_s = best
@@ -276,4 +291,5 @@ def push_of_one(data: Recorded, samples: PointwiseDensity) -> Candidate | None:
         index["spared"]: spared,
     }
     own = tuple(index[name] for name in ("strength", "time", "duration"))
-    return Candidate(PUSH, PUSH, "effect", own, (start,), switches=own[:1], elsewhere=math.log(places))
+    by_chance = Tail.of(np.concatenate(there)).gain_at(math.log(places))
+    return Candidate(PUSH, PUSH, "effect", own, (start,), switches=own[:1], look_elsewhere_nats=by_chance)

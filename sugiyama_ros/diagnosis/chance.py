@@ -12,7 +12,6 @@ P. H. Westfall and S. S. Young, Resampling-Based Multiple Testing (1993). V. Che
 Ann. Statist. 41 (2013) 2786.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -22,12 +21,10 @@ from scipy.stats import norm
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.score import Score
-from sugiyama_ros.diagnosis.table import ALPHA
+from sugiyama_ros.statistics import ALPHA, Tail
 
 # Draws from the null distribution: the smallest p-value is a thousandth.
 _DRAWS = 999
-# Part of the draws that shows how the tail falls.
-_TAIL = 0.1
 # The score of a block counts up to so many standard deviations by chance: a filter that is far off at one moment, as
 # after hard braking, must not stand for all (Huber's psi function).
 _LARGEST = 3.0
@@ -54,16 +51,17 @@ class Chance(NamedTuple):
 def chance_of(data_scores: Sequence[Score], simulated: Sequence[Sequence[Score]], seed: int) -> Chance:
     """Return what chance gives in the scores of a recording; simulated: scores of simulated recordings."""
     shifts = [{_key(one): one for one in each} for each in simulated]
-    blocks = len(data_scores[0].driver) if data_scores else 0
+    # what was chosen among many places has one block, and everything else those of the recording
+    blocks = max((len(one.driver) for one in data_scores), default=0)
     multipliers = np.random.default_rng(seed).standard_normal((1 + len(simulated), _DRAWS, blocks))
     alone: dict[str, float] = {}
     largest: dict[str, float] = {}
-    tails: dict[str, _Tail] = {}
+    tails: dict[str, Tail] = {}
     by_chance = np.full(_DRAWS, -np.inf)
     for one in data_scores:
         there = [known[_key(one)] for known in shifts if _key(one) in known]
         observed, null = _observed_and_null(one, there, multipliers)
-        tail, name, mechanism = _Tail.of(null), one.candidate.name, one.candidate.mechanism
+        tail, name, mechanism = Tail.of(null), one.candidate.name, one.candidate.mechanism
         alone[name] = max(alone.get(name, -np.inf), float(tail.improbable(observed)))
         largest[mechanism] = max(largest.get(mechanism, -np.inf), alone[name])
         tails.setdefault(name, tail)
@@ -99,45 +97,16 @@ def _observed_and_null(one: Score, simulated: Sequence[Score], multipliers: Arra
     return float(observed[0]), null
 
 
-class _Tail(NamedTuple):
-    """The null distribution of a gain: its draws in order, and the exponential tail beyond the largest tenth of them.
-
-    Gains of likelihoods have exponential tails, and none falls faster than e^-gain (Wilks).
-    """
-
-    ordered: Array
-    start: float
-    excess: float
-
-    @staticmethod
-    def of(null: Array) -> "_Tail":
-        """The distribution of draws (B,)."""
-        ordered = np.sort(null)
-        start = float(np.quantile(ordered, 1.0 - _TAIL))
-        return _Tail(ordered, start, max(float(np.mean(ordered[ordered >= start] - start)), 1.0))
-
-    def improbable(self, gains: float | Array) -> Array:
-        """Return -ln p of gains."""
-        count = len(self.ordered)
-        rank = (1 + count - np.searchsorted(self.ordered, gains, side="left")) / (1 + count)
-        beyond = (gains - self.start) / self.excess - math.log(_TAIL)
-        return np.where(gains > self.start, beyond, np.minimum(-np.log(np.minimum(rank, 1.0)), -math.log(_TAIL)))
-
-    def gain_at(self, level: float) -> float:
-        """Return the gain of which -ln p is a level beyond the tail's start."""
-        return self.start + self.excess * max(level + math.log(_TAIL), 0.0)
-
-
 def _left(one: Score) -> Array:
-    """What is left of the scores of all blocks (G, K) after the best strength is taken out, as large as by chance.
-
-    Individual strengths would leave nothing in a block that says most of its driver: their scores stay as they are.
-    """
+    """What is left of the scores of all blocks (G, K) after the best strength is taken out, as large as by chance."""
     assert one.information is not None
-    left, information = one.score, np.maximum(np.einsum("gjj->gj", one.information), 1e-300)
-    if not one.candidate.individual:
-        strength = one.strength[one.driver] if one.is_by_driver else np.broadcast_to(one.strength, one.score.shape)
-        left = left - np.einsum("gjk,gk->gj", one.information, strength)
+    information = np.maximum(np.einsum("gjj->gj", one.information), 1e-300)
+    strength = one.strength[one.driver] if one.is_by_driver else np.broadcast_to(one.strength, one.score.shape)
+    left = one.score - np.einsum("gjk,gk->gj", one.information, strength)
+    if one.candidate.individual:
+        # a block that says much of its driver leaves little (leverage)
+        total = np.diagonal(one.total, axis1=-2, axis2=-1)[one.driver]
+        left = left / np.sqrt(1.0 - information / total * (1.0 + 1.0 / total))
     limited = _limited(replace(one, score=left))
     size = _dispersion(one, left, information) * information.sum(axis=0)
     return np.asarray(limited * np.sqrt(size / np.maximum(np.square(limited).sum(axis=0), 1e-300)))
@@ -147,10 +116,11 @@ def _dispersion(one: Score, left: Array, information: Array) -> float:
     """By what factor scores vary more than the model says: the largest one over blocks, drivers and times, or 1.
 
     The same camera sees all drivers, leaders and followers see each other, and a driver is the same at all times. The
-    median keeps out what few drivers or few moments have: that may be the effect.
+    median keeps out what few drivers or few moments have: that may be the effect. Where each driver has their own
+    strength, only the blocks of a driver are added up.
     """
-    factors, usual = [1.0], norm.ppf(0.75)
-    for unit in (np.arange(len(left)), one.driver, one.time):
+    factors, usual, blocks = [1.0], norm.ppf(0.75), np.arange(len(left))
+    for unit in (blocks,) if one.candidate.individual else (blocks, one.driver, one.time):
         number = np.unique(unit, return_inverse=True)[1]
         sums, known = (np.stack([np.bincount(number, c) for c in values.T]) for values in (left, information))
         typical = np.median(np.abs(sums) / np.sqrt(np.maximum(known, 1e-300)), axis=1)

@@ -22,13 +22,14 @@ from scipy.stats import t as student
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.forecast import HORIZONS_S, Forecasts
 from sugiyama_ros.diagnosis.table import Entry
-from sugiyama_ros.diagnosis.where import Located, failing, locate
+from sugiyama_ros.diagnosis.where import Located, locate
 from sugiyama_ros.filters.extract import motion_of
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model import filtered_states
 from sugiyama_ros.fit.recording import BLOCK_S, Recorded
 from sugiyama_ros.fit.simulated import resample, seeds
 from sugiyama_ros.simulation.collective import Collective, collective
+from sugiyama_ros.statistics import failing
 from sugiyama_ros.trajectories.dense import DenseTracks
 
 # Number of simulations of the whole road: their spread is known to a fifth.

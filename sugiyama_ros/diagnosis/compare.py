@@ -10,10 +10,11 @@ import numpy as np
 
 from sugiyama_ros.diagnosis.base import base_model, with_more_decisions
 from sugiyama_ros.diagnosis.check import collective_of
-from sugiyama_ros.diagnosis.forecast import Forecasts, Surroundings, forecasts, surroundings
+from sugiyama_ros.diagnosis.forecast import Forecasts, forecasts
 from sugiyama_ros.diagnosis.refine import with_named, without_folds
 from sugiyama_ros.diagnosis.table import Difference, gains
 from sugiyama_ros.filters.extract import motion_of
+from sugiyama_ros.fit.given import Given, fit_people, prepare_for
 from sugiyama_ros.fit.joint import JointFit, fit
 from sugiyama_ros.fit.law import by_gaps, in_filter
 from sugiyama_ros.fit.model import Model, filtered_states
@@ -32,9 +33,9 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure, SubFigure
 
-#: The base model; what was asked for; a model file that was fitted to this recording; another law; or the base model
-#: on a recording that it simulates itself.
-Kind = Literal["base", "asked", "in_sample", "law", "simulated"]
+#: The base model; what was asked for; a model file that was fitted to this recording; one that was fitted to another
+#: recording; another law; or the base model on a recording that it simulates itself.
+Kind = Literal["base", "asked", "in_sample", "given", "law", "simulated"]
 # Simulations of the whole road by each model, for the mean of what it does.
 _SIMULATIONS = 4
 
@@ -72,6 +73,8 @@ class Comparison(Result):
         Standard error [m/s] of the speed of waves in the recording, over blocks of time; NaN without waves.
     seed : int
         Seed of the simulations.
+    given : Given or None
+        How the model of a file was used that was fitted to another recording.
     """
 
     models: tuple[Compared, ...]
@@ -79,6 +82,7 @@ class Comparison(Result):
     measured: Collective | None
     wave_speed_se: float
     seed: int
+    given: Given | None = None
 
     @property
     def vicinity(self) -> Vicinity:
@@ -158,7 +162,8 @@ def compare(
     effects : sequence of str
         Names of effects to add to the base model.
     model : ModelFile, optional
-        A model to compare without a fit.
+        A model from a file. On the recording that it was fitted to, it is taken as it is. On another one, what it says
+        of the road and of all drivers is taken, and the drivers' own parameters are fitted as those of the base model.
     seed : int
         Seed of the simulations.
     workers : int or Executor
@@ -179,69 +184,78 @@ def compare(
     with here_or_there(workers) as (work, cluster):
         steps = 3 + len(RIVALS) + (model is not None) + bool(effects)
         on_progress("fitting the base model", 0, steps)
-        data, base = base_model(prepare(recording), work)
-        data, base = with_more_decisions(recording, data, base, work) or (data, base)
-        around = surroundings(data, base.model, work)
-        sent = send(cluster, _law_there, (data, around, seed), RIVALS) if cluster is not None else []
-        found = [_fitted("base", "base", data, around, base, seed, work)]
+        data, base = _base(recording, model, work)
+        sent = send(cluster, _law_there, (data, seed), RIVALS) if cluster is not None else []
+        found = [_fitted("base", "base", data, base, seed, work)]
         on_progress("the base model with effects", 1, steps)
         if effects:
             asked = with_named(data, base, effects, work)
-            found.append(_fitted(f"base + {' + '.join(effects)}", "asked", data, around, asked, seed, work))
-        if model is not None:
-            found.append(_given(model, data, around, seed, work))
+            found.append(_fitted(f"base + {' + '.join(effects)}", "asked", data, asked, seed, work))
+        of_file, given = _of_file(model, data, base, seed, work)
+        found += of_file
         for k, law in enumerate(RIVALS):
             on_progress(law, steps - 1 - len(RIVALS) + k, steps)
-            found += sent[k].result() if sent else _law(law, data, around, seed, work)
+            found += sent[k].result() if sent else _law(law, data, seed, work)
         on_progress("the base model on its own simulation", steps - 1, steps)
         models = [replace(one, gain=gains(data, one.forecasts, found[0].forecasts)) for one in found]
         models.append(_simulated(data, base, seed, work))
-    return Comparison(tuple(models), data, *_measured(data), seed)
+    return Comparison(tuple(models), data, *_measured(data), seed, given)
 
 
-def _fitted(
-    name: str, kind: Kind, data: Recorded, around: Surroundings, fitted: JointFit, seed: int, work: ThreadPoolExecutor
-) -> Compared:
+def _fitted(name: str, kind: Kind, data: Recorded, fitted: JointFit, seed: int, work: ThreadPoolExecutor) -> Compared:
     """A fitted model, with its fits without each fold."""
-    return _held_out(name, kind, data, around, without_folds(data, fitted, work), fitted.model, seed, work)
+    return _held_out(name, kind, data, without_folds(data, fitted, work), fitted.model, seed, work)
 
 
 def _held_out(
     name: str,
     kind: Kind,
     data: Recorded,
-    around: Surroundings,
     models: Sequence[Model],
     whole: Model | None,
     seed: int,
     work: ThreadPoolExecutor,
 ) -> Compared:
     """Models of all folds; ``whole``: what simulates the road, if it is to be simulated."""
-    return Compared(name, kind, forecasts(data, around, models, work), {}, _of_road(data, whole, seed, work))
+    return Compared(name, kind, forecasts(data, models, work), {}, _of_road(data, whole, seed, work))
 
 
-def _given(model: ModelFile, data: Recorded, around: Surroundings, seed: int, work: ThreadPoolExecutor) -> Compared:
-    """A model from a file, without a fit. What was fitted to this recording is in sample."""
-    rows = model.rows_of(np.array(data.vicinity.numbers))
-    own = data.vicinity.sha256
-    kind: Kind = "in_sample" if own and own == model.sha256 else "asked"
-    given = Model(rows, (), (), (), rows)
+def _base(recording: Tracks, model: ModelFile | None, work: ThreadPoolExecutor) -> tuple[Recorded, JointFit]:
+    """The recording with the base model; drivers decide as often as those of a model file, if it says how often."""
+    if model is not None and model.conditions.decision_period_s is not None:
+        return base_model(prepare_for(recording, model), work)
+    data, base = base_model(prepare(recording), work)
+    return with_more_decisions(recording, data, base, work) or (data, base)
+
+
+def _of_file(
+    model: ModelFile | None, data: Recorded, base: JointFit, seed: int, work: ThreadPoolExecutor
+) -> tuple[list[Compared], Given | None]:
+    """A model from a file: as it is on the recording that it was fitted to, and with other people on another one."""
+    if model is None:
+        return [], None
     name = f"file: {', '.join(model.effects) or 'base'}"
-    return _held_out(name, kind, data, around, [given] * FOLDS, given, seed, work)
+    own = data.vicinity.sha256
+    if own and own == model.sha256:
+        rows = model.rows_of(np.array(data.vicinity.numbers))
+        as_it_is = Model(rows, (), (), (), rows)
+        return [_held_out(name, "in_sample", data, [as_it_is] * FOLDS, as_it_is, seed, work)], None
+    fitted, given = fit_people(data, base, model, work)
+    return [_fitted(name, "given", data, fitted, seed, work)], given
 
 
-def _law(law: str, data: Recorded, around: Surroundings, seed: int, work: ThreadPoolExecutor) -> list[Compared]:
+def _law(law: str, data: Recorded, seed: int, work: ThreadPoolExecutor) -> list[Compared]:
     """Another law, fitted in the filter and, if it has parameters, also by least squares on gaps."""
     fit_ = in_filter(data, law, work)
-    found = [_fitted(law, "law", data, around, fit_, seed, work)]
+    found = [_fitted(law, "law", data, fit_, seed, work)]
     if LAWS[law].parameters:
         models = by_gaps(data, law, fit_, work)
-        found.append(_held_out(f"{law}_least_squares", "law", data, around, models, None, seed, work))
+        found.append(_held_out(f"{law}_least_squares", "law", data, models, None, seed, work))
     return found
 
 
-def _law_there(common: tuple[Recorded, Surroundings, int], law: str) -> list[Compared]:
-    """What ``_law`` returns, on a worker of a cluster; common: the recording, its traffic and the seed."""
+def _law_there(common: tuple[Recorded, int], law: str) -> list[Compared]:
+    """What ``_law`` returns, on a worker of a cluster; common: the recording and the seed."""
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as work:
         return _law(law, *common, work)
 
@@ -251,8 +265,7 @@ def _simulated(data: Recorded, base: JointFit, seed: int, work: ThreadPoolExecut
     one = resample(data, base.model, filtered_states(data, base.model, work), seeds(seed, 1)[0])
     again = fit(one, base.model, work)
     models = without_folds(one, again, work)
-    around = surroundings(one, again.model, work)
-    return Compared("base, simulated", "simulated", forecasts(one, around, models, work), {}, {})
+    return Compared("base, simulated", "simulated", forecasts(one, models, work), {}, {})
 
 
 def _measured(data: Recorded) -> tuple[Collective | None, float]:

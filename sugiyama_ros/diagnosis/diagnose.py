@@ -20,10 +20,10 @@ from sugiyama_ros.diagnosis.base import base_model, laws, with_more_decisions
 from sugiyama_ros.diagnosis.candidates import Candidate, candidates, chosen, push_of_one
 from sugiyama_ros.diagnosis.chance import Chance, chance_of
 from sugiyama_ros.diagnosis.check import Check, checks, judged
-from sugiyama_ros.diagnosis.forecast import HORIZONS_S, Surroundings, driven, forecasts, surroundings
+from sugiyama_ros.diagnosis.forecast import HORIZONS_S, driven, forecasts
 from sugiyama_ros.diagnosis.refine import refined, without, without_folds
 from sugiyama_ros.diagnosis.score import Score, scores
-from sugiyama_ros.diagnosis.table import ALPHA, Difference, Entry, errors, is_better
+from sugiyama_ros.diagnosis.table import Difference, Entry, errors, is_better
 from sugiyama_ros.diagnosis.where import Located, locate
 from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.fit.joint import JointFit, maximise
@@ -36,6 +36,7 @@ from sugiyama_ros.fit.standard_errors import shared_stds
 from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.progress import OnStage
 from sugiyama_ros.results import Result, bars, plain, to_json
+from sugiyama_ros.statistics import ALPHA
 from sugiyama_ros.trajectories.tracks import Tracks
 
 if TYPE_CHECKING:
@@ -267,12 +268,12 @@ def diagnose(
     with ThreadPoolExecutor(workers) as work:
         on_progress("fitting the base model", 0, 1)
         data, base = base_model(prepare(recording), work, law)
-        bench = _bench(data, base, seed, simulations, work, on_progress)
+        bench = _bench(data, seed, simulations, work, on_progress)
         found = _scored(bench, base)
         is_open = found.chance.shows_something
         if is_open and (finer := with_more_decisions(recording, data, base, work, on_progress, law)) is not None:
             data, base = finer
-            bench = _bench(data, base, seed, simulations, work, on_progress)
+            bench = _bench(data, seed, simulations, work, on_progress)
             found = _scored(bench, base)
         first = bench.entry("base", (), base)
         rounds = _told(bench, first, found, add) if add else _searched(bench, first, found, most)
@@ -285,7 +286,6 @@ class _Bench:
 
     data: Recorded
     possible: tuple[Candidate, ...]
-    around: Surroundings
     simulations: int
     seed: int
     work: ThreadPoolExecutor
@@ -295,7 +295,7 @@ class _Bench:
     def entry(self, name: str, added: tuple[Candidate, ...], fit: JointFit, beside: Sequence[Model] = ()) -> Entry:
         """A fitted model with its held-out forecasts; ``beside``: models without folds of the fit that it extends."""
         models = without_folds(self.data, fit, self.work, beside)
-        return Entry(name, added, fit, models, forecasts(self.data, self.around, models, self.work))
+        return Entry(name, added, fit, models, forecasts(self.data, models, self.work))
 
     def simulated(self, fit: JointFit) -> list[tuple[Recorded, JointFit]]:
         """Recordings that a model simulates, with the fits to them, made once."""
@@ -305,11 +305,8 @@ class _Bench:
         return self.known[fit]
 
 
-def _bench(
-    data: Recorded, base: JointFit, seed: int, simulations: int, work: ThreadPoolExecutor, on_progress: OnStage
-) -> _Bench:
-    around = surroundings(data, base.model, work)
-    return _Bench(data, candidates(data), around, simulations, seed, work, on_progress, {})
+def _bench(data: Recorded, seed: int, simulations: int, work: ThreadPoolExecutor, on_progress: OnStage) -> _Bench:
+    return _Bench(data, candidates(data), simulations, seed, work, on_progress, {})
 
 
 @dataclass(frozen=True, eq=False)
@@ -321,11 +318,13 @@ class _Scored:
 
     @property
     def best(self) -> tuple[Score, ...]:
-        """The score of each mechanism, in that form which chance explains least; the most improbable first."""
-        best: dict[str, Score] = {}
+        """The score of each mechanism in the form that gains most beyond chance; the most improbable one first."""
+        forms: dict[str, list[Score]] = {}
         for name in sorted(self.by_name, key=lambda name: -self.chance.improbable[name]):
-            best.setdefault(self.by_name[name][0].candidate.mechanism, self.by_name[name][0])
-        return tuple(best.values())
+            forms.setdefault(self.by_name[name][0].candidate.mechanism, []).append(self.by_name[name][0])
+        return tuple(
+            max(own, key=lambda one: one.gain - self.chance.needed[one.candidate.name]) for own in forms.values()
+        )
 
 
 def _scored(bench: _Bench, fit: JointFit, rounds: Sequence[Round] = ()) -> _Scored:
@@ -464,11 +463,8 @@ def _concluded(bench: _Bench, rounds: list[Round], asked: tuple[str, ...], simul
     base, final = rounds[0].current, rounds[-1].after
     bench.on_progress("checking the final model", 0, 1)
     simulated = bench.simulated(final.fit)
-    own = [
-        forecasts(one, surroundings(one, fitted.model, work), without_folds(one, fitted, work), work)
-        for one, fitted in simulated
-    ]
-    rivals = laws(data, bench.around, final, work)
+    own = [forecasts(one, without_folds(one, fitted, work), work) for one, fitted in simulated]
+    rivals = laws(data, final, work)
     found = [*checks(data, final, simulated, own, bench.seed, work), *_left(rounds, data, final, rivals)]
     return Diagnosis(
         data=data,

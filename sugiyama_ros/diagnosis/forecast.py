@@ -20,7 +20,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import gammaln, ndtr
+from scipy.special import ndtr
 
 from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.driver.parameters import SIGMA_NU, at_period, horizon_at, index
@@ -30,15 +30,25 @@ from sugiyama_ros.filters.causal import ChainJob, filter_each
 from sugiyama_ros.filters.chain import NO_LINE, adaptation_of
 from sugiyama_ros.filters.state import STATE
 from sugiyama_ros.filters.update import SETTLING
-from sugiyama_ros.fit.model import Model, PointwiseDensity, between_measurements, filtered_states, jobs_of, together
+from sugiyama_ros.fit.model import (
+    Model,
+    PointwiseDensity,
+    between_measurements,
+    filtered_states,
+    jobs_of,
+    states_of,
+    together,
+)
 from sugiyama_ros.fit.recording import FOLDS, Recorded, Vicinity
 from sugiyama_ros.simulation.drive import Order, Setting
 from sugiyama_ros.simulation.free_run import run_coupled, run_single
+from sugiyama_ros.statistics import student_log_density
 
 #: Times [s] after the start at which forecasts are judged.
 HORIZONS_S = (1.0, 2.0, 5.0, 10.0)
-# Number of pairs of opposite draws.
+# Number of pairs of opposite draws; by so few members, the variance of a forecast has so many degrees of freedom.
 _PAIRS = 4
+_FREE = 2.0 * _PAIRS - 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,55 +88,57 @@ class Forecasts:
         return PointwiseDensity(self.innovation_m, self.innovation_var, self.one_step)
 
 
-@dataclass(frozen=True, eq=False)
-class Surroundings:
-    """The traffic in which a driver drives on, the same for all models: states of all vehicles, (T, V, 4).
+class Starts(NamedTuple):
+    """Where forecasts start, the same for all models.
 
-    starts: samples (S,); who: drivers who start there, (S, N); steps: samples to each horizon.
+    sample: samples (S,); who: drivers who start there, (S, N); steps: samples to each horizon.
     """
 
-    states: Array
-    starts: Ints
+    sample: Ints
     who: Mask
     steps: Ints
 
 
-def surroundings(data: Recorded, model: Model, work: Executor) -> Surroundings:
-    """Return the traffic as a model's filter sees it, and where forecasts start: each half of the longest horizon."""
+def starts_of(data: Recorded) -> Starts:
+    """Return where forecasts start: each half of the longest horizon."""
     around = data.vicinity
     steps = data.every * np.array([max(1, round(h / data.apart_s)) for h in HORIZONS_S])
     apart = data.every * max(1, round(0.5 * HORIZONS_S[-1] / data.apart_s))
     starts = np.arange(data.every * math.ceil((SETTLING + 4) / data.every), data.samples - steps[-1], apart)
     unbroken = data.segment[:, starts - SETTLING] == data.segment[:, starts + steps[-1]]
     unbroken &= data.scored[:, starts]
-    states = between_measurements(data, filtered_states(data, model, work))
     lines = data.lines[:, :, 0]
     led = np.array([(around.leader[starts, i] >= 0) | np.isfinite(lines[starts, i]) for i in range(data.drivers)])
     if led.any():
         unbroken &= led
     some = unbroken.any(axis=0)
-    return Surroundings(np.ascontiguousarray(states[:, :, :STATE]), starts[some], unbroken[:, some].T, steps)
+    return Starts(starts[some], unbroken[:, some].T, steps)
 
 
-def forecasts(data: Recorded, around: Surroundings, models: Sequence[Model], work: Executor) -> Forecasts:
-    """Forecast every sample, each with the model that was fitted without the sample's fold."""
-    parts = [_Fold(data, around, model, fold) for fold, model in enumerate(models)]
+def forecasts(data: Recorded, models: Sequence[Model], work: Executor) -> Forecasts:
+    """Forecast every sample, each with the model that was fitted without the sample's fold.
+
+    The traffic ahead is as the model's own filter sees it: a model that corrects the measured places corrects those of
+    the driver and of the leader.
+    """
+    starts = starts_of(data)
+    parts = [_Fold(data, starts, model, fold) for fold, model in enumerate(models)]
     known = np.full((3, data.drivers, data.samples), np.nan)
-    ends = np.full((2, 4, len(around.starts), len(HORIZONS_S), data.drivers), np.nan)
+    ends = np.full((2, 4, len(starts.sample), len(HORIZONS_S), data.drivers), np.nan)
     for part in parts:
         mask = data.fold == part.fold
-        who = around.who & (data.fold.T[around.starts] == part.fold)
+        who = starts.who & (data.fold.T[starts.sample] == part.fold)
         chosen = np.flatnonzero(who.any(axis=1))
-        predicted, states = part.filtered(around.starts[chosen], work)
+        predicted, states, traffic = part.filtered(starts.sample[chosen], work)
         known[:, mask] = predicted[:, mask]
         jobs = [(int(s), who[s], one) for s, one in zip(chosen, states, strict=True)]
-        for s, found in zip(chosen, work.map(part.driven_on, jobs), strict=True):
+        for s, found in zip(chosen, work.map(partial(part.driven_on, traffic), jobs), strict=True):
             ends[: len(found), :, s, :, who[s]] = np.moveaxis(found[..., who[s]], -1, 0)
     known[0][~data.scored] = np.nan
     one_step, innovation_m, innovation_var = known
-    fold = data.fold.T[around.starts]
+    fold = data.fold.T[starts.sample]
     road = judged_runs(ends[1], fold) if data.vicinity.is_whole_road else None
-    return Forecasts(one_step, innovation_m, innovation_var, judged_runs(ends[0], fold), road, around.starts)
+    return Forecasts(one_step, innovation_m, innovation_var, judged_runs(ends[0], fold), road, starts.sample)
 
 
 def judged_runs(ends: Array, fold: Ints) -> Runs:
@@ -147,7 +159,8 @@ def judged_runs(ends: Array, fold: Ints) -> Runs:
     good, bad = (factor * one for one in (var, wide))
     with np.errstate(invalid="ignore"):
         log_score = np.logaddexp(
-            np.log1p(-share) + _student(error, good), np.log(share + 1e-300) + _student(error, bad)
+            np.log1p(-share) + student_log_density(error, good, _FREE),
+            np.log(share + 1e-300) + student_log_density(error, bad, _FREE),
         )
     z = error / np.sqrt(good)
     density = np.exp(-0.5 * np.square(z)) / math.sqrt(2.0 * math.pi)
@@ -160,23 +173,11 @@ def _scale(squares: Array) -> float:
 
     The fixed point is the EM algorithm's. Drivers of whom nothing is known do not count as much as a mean lets them.
     """
-    free, factor = 2.0 * _PAIRS - 1.0, float(np.median(squares)) if len(squares) else 0.0
+    factor = float(np.median(squares)) if len(squares) else 0.0
     # each turn halves the distance to the fixed point
     for _ in range(20 if factor > 0.0 else 0):
-        factor = float(np.mean((free + 1.0) * squares / (free - 2.0 + squares / factor)))
+        factor = float(np.mean((_FREE + 1.0) * squares / (_FREE - 2.0 + squares / factor)))
     return factor or 1.0
-
-
-def _student(off: Array, var: Array) -> Array:
-    """Logarithm of the density of Student's t distribution with a variance, without the term of 2 pi.
-
-    This is the forecast by few members, whose variance is not known better.
-    """
-    free = 2.0 * _PAIRS - 1.0
-    constant = gammaln(0.5 * (free + 1.0)) - gammaln(0.5 * free) - 0.5 * math.log(0.5 * (free - 2.0))
-    return np.asarray(
-        constant - 0.5 * np.log(var) - 0.5 * (free + 1.0) * np.log1p(np.square(off) / ((free - 2.0) * var))
-    )
 
 
 def driven(data: Recorded, models: Sequence[Model], work: Executor) -> Array:
@@ -217,31 +218,34 @@ class _States(NamedTuple):
 
 
 class _Fold(NamedTuple):
-    """The model that was fitted without a fold, and the traffic."""
+    """The model that was fitted without a fold."""
 
     data: Recorded
-    around: Surroundings
+    starts: Starts
     model: Model
     fold: int
 
-    def filtered(self, at: Ints, work: Executor) -> tuple[Array, list[_States]]:
-        """Predictions (3, N, T) of all samples, and the states of all drivers at some samples."""
+    def filtered(self, at: Ints, work: Executor) -> tuple[Array, list[_States], Array]:
+        """Predictions (3, N, T) of all samples, states of all drivers at some samples, and the traffic (T, V, 4)."""
         data = self.data
         predicted = np.full((3, data.drivers, data.samples), np.nan)
         states = [_States(*([None] * data.drivers for _ in range(3))) for _ in at]
         jobs = list(enumerate(jobs_of(data, self.model, range(data.drivers))))
+        tracks: list[Array] = [np.empty(0)] * data.drivers
         for part in work.map(partial(_filtered, at), together(jobs)):
-            for i, known, mean, covariance, mood in part:
-                predicted[:, i] = known
+            for i, known, track, covariance in part:
+                predicted[:, i], tracks[i] = known, track
+                own, mood = track[at, :STATE], track[at, STATE * data.chains[i].position_m.shape[1] :]
                 for k, one in enumerate(states):
-                    one.mean[i], one.covariance[i], one.mood[i] = mean[k], covariance[k], mood[k]
-        return predicted, states
+                    one.mean[i], one.covariance[i], one.mood[i] = own[k], covariance[k], mood[k]
+        traffic = states_of(data, predicted[2], tracks)[:, :, :STATE]
+        return predicted, states, np.ascontiguousarray(between_measurements(data, traffic))
 
-    def driven_on(self, job: tuple[int, Mask, _States]) -> Array:
+    def driven_on(self, traffic: Array, job: tuple[int, Mask, _States]) -> Array:
         """Ends (1 or 2, 4, H, N) of the runs of a start, as of ``judged_runs``: of single drivers, and of a road."""
         data, (number, who, states) = self.data, job
-        k, steps, around = int(self.around.starts[number]), self.around.steps, data.vicinity
-        recorded = self.around.states[k : k + steps[-1] + 1]
+        k, steps, around = int(self.starts.sample[number]), self.starts.steps, data.vicinity
+        recorded = traffic[k : k + steps[-1] + 1]
         order = _order(around, k, recorded[0])
         rows = _rows_at(at_period(self.model.rows, around.period_s), states.mood)
         vehicles = len(order.leader)
@@ -286,14 +290,12 @@ def _bad(var: Array, noise_var: Array, rows: Array) -> tuple[Array, Array]:
     return share, wide
 
 
-def _filtered(at: Ints, jobs: Sequence[tuple[int, ChainJob]]) -> list[tuple[int, Array, Array, Array, Array]]:
-    """Of some drivers: number, predictions (3, T), and at some samples the own state, its covariance, and the mood."""
+def _filtered(at: Ints, jobs: Sequence[tuple[int, ChainJob]]) -> list[tuple[int, Array, Array, Array]]:
+    """Of some drivers: number, predictions (3, T), means of the state (T, ...), own covariance at some samples."""
     found = []
     for k, one in filter_each([job for _, job in jobs]):
         known = np.array([one.sample_log_likelihood, one.innovation_m, one.innovation_var])
-        number, job = jobs[k]
-        mood = one.mean[at, STATE * job.chain.position_m.shape[1] :]
-        found.append((number, known, one.mean[at, :STATE].copy(), one.covariance[at, :STATE, :STATE].copy(), mood))
+        found.append((jobs[k][0], known, one.mean.copy(), one.covariance[at, :STATE, :STATE].copy()))
     return found
 
 

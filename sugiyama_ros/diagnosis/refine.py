@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.diagnosis.candidates import Candidate, candidates, chosen, with_candidate
+from sugiyama_ros.diagnosis.candidates import FORCE, Candidate, candidates, chosen, with_candidate
 from sugiyama_ros.diagnosis.score import Score, ScoreOfSome, scores
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.coordinates import is_linear
@@ -47,9 +47,12 @@ def _does_nothing(data: Recorded, model: Model, candidate: Candidate) -> bool:
 def with_named(data: Recorded, fitted: JointFit, names: Sequence[str], work: Executor) -> JointFit:
     """Add candidates by their names to a fitted model, one after the other."""
     possible = candidates(data)
-    for candidate in [chosen(data, possible, name) for name in names]:
-        found = scores(data, fitted, [candidate], work, with_forces=False)
-        own = sorted((one for one in found if one.candidate.name == candidate.name), key=lambda one: -one.gain)
+    # names are checked before anything is fitted; which forces there are, the fitted model says
+    known = {name: None if name.startswith(FORCE) else chosen(data, possible, name) for name in names}
+    for name, one in known.items():
+        found = scores(data, fitted, [one] if one else [], work, with_forces=one is None)
+        candidate = one or chosen(data, [force.candidate for force in found], name)
+        own = sorted((s for s in found if s.candidate.name == candidate.name), key=lambda s: -s.gain)
         fitted = refined(data, fitted, candidate, own, work)
     return fitted
 

@@ -344,11 +344,13 @@ class _Nuisance:
         size = np.diagonal(total, axis1=-2, axis2=-1)
         if not (size > _NOTHING).any():
             return None
-        if candidate.elsewhere:
+        if candidate.is_single_event:
             # what was chosen among many places must gain more than the best one of them does by chance
-            gain = 0.5 * float(score.sum()) ** 2 / float(total[0, 0]) - candidate.elsewhere
-            where = np.zeros(1, np.int64)
-            return Score(candidate, (parts[0].start,), np.array([[gain]]), None, total, where, where, 1)
+            known, (strength, *_), start = float(total[0, 0]), candidate.places, dict(parts[0].start)
+            change = float(score.sum()) / known
+            start[strength] = change * start[strength]
+            gain, where = 0.5 * known * change**2 - candidate.look_elsewhere_nats, np.zeros(1, np.int64)
+            return Score(candidate, (start,), np.array([[gain]]), None, total, where, where, 1)
         return Score(
             candidate,
             tuple(p.start for p in parts),

@@ -11,7 +11,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.stats import norm
 
 from sugiyama_ros.arrays import Array, Ints
@@ -22,9 +21,7 @@ from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model import Model, PointwiseDensity
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.results import CLEARLY
-
-#: Level of significance, and false-discovery rate: nothing is added that chance shows more often.
-ALPHA = 0.05
+from sugiyama_ros.statistics import sum_error
 
 
 @dataclass(frozen=True)
@@ -67,7 +64,8 @@ class Entry:
 
     def over(self, data: Recorded, other: "Entry") -> dict[str, Difference]:
         """Gain over another model, as of ``gains``."""
-        return gains(data, self.forecasts, other.forecasts)
+        new = [one for one in self.added if one not in other.added]
+        return gains(data, self.forecasts, other.forecasts, once=bool(new) and all(one.is_single_event for one in new))
 
     @property
     def signs(self) -> dict[str, tuple[float, float]]:
@@ -87,26 +85,29 @@ class Entry:
         return all(value >= least for value, least in self.signs.values())
 
 
-def gains(data: Recorded, better: Forecasts, than: Forecasts) -> dict[str, Difference]:
+def gains(data: Recorded, better: Forecasts, than: Forecasts, *, once: bool = False) -> dict[str, Difference]:
     """Return the gain of one model over another at each horizon, and over all of them together.
 
     Columns: ``one_step``; ``1s``, ``2s``, ``5s``, ``10s`` of single cars; ``road_1s`` and so on of all cars of a whole
     road; ``all``, the sum of all but those of the road.
+
+    once: whether the models differ by something that happens once. Blocks of time then tell nothing of its error, and
+    the standard error is that of the logarithm of a likelihood ratio, which is normal with a variance of twice its mean
+    if the better model is right. All columns see the same event, so that their errors add.
     """
     parts = list(_differences(data, better, than))
     single = [part for part in parts if not part[0].startswith("road")]
     driver, block, nats = (np.concatenate(column) for column in list(zip(*single, strict=True))[1:])
+    if once:
+        won = {name: float(own.sum()) for name, _, _, own in parts}
+        error = {name: math.sqrt(2.0 * abs(own)) for name, own in won.items()}
+        won["all"], error["all"] = float(nats.sum()), sum(error[name] for name, *_ in single)
+        return {name: Difference(own, error[name]) for name, own in won.items()}
     columns = (*parts, ("all", driver, block, nats))
     blocks = int(data.block.max()) + 1
     return {
         name: _gain(when if name.startswith("road") else who * blocks + when, won) for name, who, when, won in columns
     }
-
-
-def sum_error(parts: ArrayLike) -> float:
-    """Return the standard error of the sum of exchangeable parts (N,), by the jackknife."""
-    x = np.asarray(parts)
-    return math.sqrt(len(x) * float(np.var(x, ddof=1))) if len(x) > 1 else 0.0
 
 
 def paired(data: Recorded, better: PointwiseDensity, than: PointwiseDensity) -> Difference:

@@ -5,7 +5,6 @@ covariate, the mean of the normalised innovations is then a normal variable with
 Bins are flagged at a false-discovery rate of 5 % over all bins together (Benjamini and Hochberg 1995).
 """
 
-from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
@@ -14,10 +13,10 @@ from scipy.stats import norm
 
 from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.diagnosis.covariates import covariates_of
-from sugiyama_ros.diagnosis.table import ALPHA
 from sugiyama_ros.driver.parameters import RHO
 from sugiyama_ros.fit.model import Model, PointwiseDensity, filtered_states
 from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.statistics import failing
 
 # Number of bins of a covariate, and smallest number of samples in a bin.
 _BINS, _FEWEST = 10, 30
@@ -135,12 +134,6 @@ def _bin(name: str, label: str, low: float, high: float, values: Array, after: A
 def _with_flags(bins: list[Bin]) -> list[Bin]:
     threshold = failing([b.p_value for b in bins])
     return [replace(b, flagged=b.p_value <= threshold) for b in bins]
-
-
-def failing(p_values: Sequence[float]) -> float:
-    """Return the largest p-value that fails, by Benjamini and Hochberg's step-up procedure; -1 if none does."""
-    passed = [p for k, p in enumerate(sorted(p_values), 1) if p <= ALPHA * k / len(p_values)]
-    return max(passed, default=-1.0)
 
 
 def _map(first: str, second: str, before: dict[str, Array], after: Array) -> Map:

@@ -180,7 +180,15 @@ def follow(data: Recorded, model: Model, work: Executor) -> tuple[PointwiseDensi
     jobs = jobs_of(data, model, range(data.drivers))
     outputs = [one for part in work.map(predict_states, together(jobs)) for one in part]
     y, variance, density = (np.array([o[k] for o in outputs]) for k in range(3))
-    tracks = [o[3] for o in outputs]
+    density[~data.scored] = np.nan
+    return PointwiseDensity(y, variance, density), states_of(data, variance, [o[3] for o in outputs])
+
+
+def states_of(data: Recorded, variance: Array, tracks: Sequence[Array]) -> Array:
+    """Return the states of all vehicles (T, V, 4 + A), as of ``follow``, from the filters of all drivers.
+
+    variance: of the innovations (N, T); tracks: means of each filter's state.
+    """
     preferences = [track[:, STATE * c.position_m.shape[1] :] for c, track in zip(data.chains, tracks, strict=True)]
     wandering = max(one.shape[1] for one in preferences)
     states = np.full((*data.vicinity.leader.shape, STATE + wandering), np.nan)
@@ -191,8 +199,7 @@ def follow(data: Recorded, model: Model, work: Executor) -> tuple[PointwiseDensi
             states[known, column, :STATE] = track[known, STATE * m : STATE * (m + 1)]
     if data.vicinity.is_whole_road:
         _see_first(data, tracks, states)
-    density[~data.scored] = np.nan
-    return PointwiseDensity(y, variance, density), states
+    return states
 
 
 def between_measurements(data: Recorded, states: Array) -> Array:

@@ -1,5 +1,5 @@
-"""A fitted model as a YAML file: active effects, parameters of every driver, standard deviations, and origin of the
-data.
+"""A fitted model as a YAML file: active effects, parameters of every driver, standard deviations, how often drivers
+decide, and origin of the data.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -24,18 +24,49 @@ from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.standard_errors import own_stds, shared_stds
 from sugiyama_ros.laws.registry import LAWS, PAPERS, law, name_of, number_of
 from sugiyama_ros.plugins import FAILED
+from sugiyama_ros.road import LENGTHS_M, PERIODS_S, RINGS_M
 
 _FORMAT = 1
 # libyaml, if it is installed, is ten times faster
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
+@dataclass(frozen=True)
+class Conditions:
+    """Where and how drivers drove whom a model was fitted to; None and empty where it is not known.
+
+    ring_m: circumference [m] of the road; 0 if it is open; decision_period_s: time [s] from one decision of a driver to
+    the next; length_m: (N,), lengths of the drivers' vehicles [m]; individual: names of the parameters that each driver
+    has their own values of; all drivers share the others.
+    """
+
+    ring_m: float | None = None
+    decision_period_s: float | None = None
+    length_m: tuple[float, ...] = ()
+    individual: tuple[str, ...] = ()
+
+    def of_experiment(self, vehicles: int) -> dict[str, Any]:
+        """Return the fields of an experiment on this road, with these decisions, and the lengths of all vehicles."""
+        known = {"ring_m": self.ring_m, "period_s": self.decision_period_s}
+        found: dict[str, Any] = {name: value for name, value in known.items() if value is not None}
+        return {**found, "length_m": self.length_m} if len(self.length_m) == vehicles else found
+
+
+def decisions_between(period_s: float, decision_period_s: float | None) -> int:
+    """Return how often drivers decide from one sample to the next, ``period_s`` [s] later; once if it is not known."""
+    return 1 if decision_period_s is None else max(1, round(period_s / decision_period_s))
+
+
+_UNKNOWN = Conditions()
+
+
 @dataclass(frozen=True, eq=False)
 class ModelFile:
     """The contents of a model file: vehicles (N,), rows (N, WIDTH), active effects, and the origin of the data.
 
-    types: classes of drivers, if they were divided; population: of which the drivers are draws, if that is known;
-    goals: what drivers may intend, if that is known; cautions: what somebody who uses the model must know, in words.
+    conditions: where and how the drivers drove; types: classes of drivers, if they were divided; population: of which
+    the drivers are draws, if that is known; goals: what drivers may intend, if that is known; cautions: what somebody
+    who uses the model must know, in words.
     """
 
     vehicle: Ints
@@ -43,6 +74,7 @@ class ModelFile:
     effects: tuple[str, ...]
     source: str
     sha256: str
+    conditions: Conditions = _UNKNOWN
     types: DriverTypes | None = None
     population: Population | None = None
     goals: KnownGoals | None = None
@@ -58,12 +90,20 @@ class ModelFile:
 
         If the file knows no population, this is the median of the file's drivers.
         """
-        typical = np.median(self.rows, axis=0)
-        if self.population is not None:
-            for name, (median, _) in self.population.parameters.items():
-                typical[index(name)] = median
         known = {int(v): k for k, v in enumerate(self.vehicle)}
-        return np.array([self.rows[known[int(v)]] if int(v) in known else typical for v in vehicles])
+        return np.array([self.rows[known[int(v)]] if int(v) in known else self.typical for v in vehicles])
+
+    def simulated(self, vehicles: int) -> Array:
+        """Return the rows (N, WIDTH) of so many drivers: all of the file, or those with the numbers from 0 on."""
+        return self.rows_of(self.vehicle if vehicles == len(self.vehicle) else np.arange(vehicles))
+
+    @property
+    def typical(self) -> Array:
+        """The row (WIDTH,) of the median driver."""
+        typical: Array = np.median(self.rows, axis=0)
+        for name, (median, _) in (self.population.parameters if self.population is not None else {}).items():
+            typical[index(name)] = median
+        return typical
 
 
 def drivers_of(file: Path | None, law_name: str, option: Callable[[str], str] = str) -> ModelFile:
@@ -88,9 +128,15 @@ def write_model(target: Target, data: Recorded, fitted: JointFit, cautions: Sequ
     """Write a fitted model to a file. Raises OutputError."""
     with ThreadPoolExecutor(1) as work:
         own, shared = own_stds(fitted), shared_stds(data, fitted, work)
-    around = data.vicinity
+    around, model = data.vicinity, fitted.model
+    conditions = Conditions(
+        ring_m=around.road.circumference_m,
+        decision_period_s=around.period_s,
+        length_m=tuple(around.length_m[:, : data.drivers].max(axis=0).tolist()),
+        individual=tuple(ROW.entries[k] for k in model.individual),
+    )
     origin = around.numbers, around.source, around.sha256
-    drivers = FittedDrivers(*origin, fitted.model.rows, own, shared, fitted.log_likelihood)
+    drivers = FittedDrivers(*origin, model.rows, own, shared, fitted.log_likelihood, conditions)
     write_drivers(target, drivers, cautions=cautions)
 
 
@@ -99,7 +145,7 @@ class FittedDrivers(NamedTuple):
 
     numbers: numbers of the vehicles; source, sha256: name and checksum of the recording; rows: (N, WIDTH), row of each
     driver; own_std: standard deviations of each driver's parameters; shared_std: of the parameters that all share;
-    log_likelihood: log-likelihood of the fit [nats].
+    log_likelihood: log-likelihood of the fit [nats]; conditions: where and how the drivers drove.
     """
 
     numbers: Sequence[int]
@@ -109,6 +155,7 @@ class FittedDrivers(NamedTuple):
     own_std: Sequence[Mapping[str, float]]
     shared_std: Mapping[str, float]
     log_likelihood: float
+    conditions: Conditions = _UNKNOWN
 
 
 def write_drivers(
@@ -120,12 +167,17 @@ def write_drivers(
     cautions: Sequence[str] = (),
 ) -> None:
     """Write the parameters of drivers as a model file. Raises OutputError."""
-    numbers, source, sha256, rows, own_std, shared_std, log_likelihood = fitted
+    numbers, source, sha256, rows, own_std, shared_std, log_likelihood, conditions = fitted
     drivers = {v: _driver(row, std) for v, row, std in zip(numbers, rows, own_std, strict=True)}
+    for about, length_m in zip(drivers.values(), conditions.length_m, strict=False):
+        about["length_m"] = length_m
     document = {
         "sugiyama_model": _FORMAT,
         "version": version("sugiyama_ros"),
         "data": {"source": source, "sha256": sha256, "log_likelihood": log_likelihood},
+        "road": {"ring_m": conditions.ring_m},
+        "decision_period_s": conditions.decision_period_s,
+        "individual": list(conditions.individual),
         "effects": list(active(rows)),
         "shared_std": dict(shared_std),
         "drivers": drivers,
@@ -197,7 +249,7 @@ def read_model(path: Path) -> ModelFile:
     drivers = document.get("drivers")
     if not isinstance(drivers, dict) or not drivers:
         raise InputError(f"{path}: drivers: the file has none")
-    rows, vehicles = [], []
+    rows, vehicles, lengths = [], [], []
     for vehicle, about in drivers.items():
         where = f"{path}: drivers: {str(vehicle)[:40]}"
         row: Array = np.zeros(ROW.width)
@@ -212,6 +264,8 @@ def read_model(path: Path) -> ModelFile:
             if type(vehicle) is not int or not 0 <= vehicle < 1 << 31:
                 raise InputError("is not the number of a vehicle; give 0 to 2147483647")
             vehicles.append(vehicle)
+            if "length_m" in about:
+                lengths.append(_within(about["length_m"], "length_m", LENGTHS_M))
         except InputError as error:
             raise InputError(f"{where}: {error}") from None
         except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -233,11 +287,40 @@ def read_model(path: Path) -> ModelFile:
         effects=active(stacked),
         source=source,
         sha256=checksum,
+        conditions=_conditions(path, document, tuple(lengths) if len(lengths) == len(rows) else ()),
         types=types,
         population=drawn,
         goals=intended,
         cautions=tuple(cautions),
     )
+
+
+def _conditions(path: Path, document: Mapping[str, Any], length_m: tuple[float, ...]) -> Conditions:
+    """Where and how the drivers of a model file drove. Raises InputError."""
+    road, individual = document.get("road", {}), document.get("individual", [])
+    try:
+        if not isinstance(road, dict) or not isinstance(individual, list):
+            raise InputError("road: give ring_m, or leave it out; individual: give a list of names, or leave it out")
+        ring_m, period_s = road.get("ring_m"), document.get("decision_period_s")
+        unknown = [str(name)[:80] for name in individual if name not in ROW.entries]
+        if unknown:
+            raise InputError(f"individual: {unknown[0]!r} is not the name of a parameter; leave it out")
+        return Conditions(
+            ring_m=None if ring_m is None else _within(ring_m, "ring_m", (0.0, RINGS_M[1])),
+            decision_period_s=None if period_s is None else _within(period_s, "decision_period_s", PERIODS_S),
+            length_m=length_m,
+            individual=tuple(individual),
+        )
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _within(given: Any, name: str, bounds: tuple[float, float]) -> float:
+    """Return a number of a file that is within bounds. Raises InputError."""
+    value = number(given, name)
+    if not bounds[0] <= value <= bounds[1]:
+        raise InputError(f"{name}: {value:g} is not possible; give {bounds[0]:g} to {bounds[1]:g}")
+    return value
 
 
 def _check_installed(name: str) -> None:

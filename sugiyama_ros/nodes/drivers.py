@@ -364,7 +364,7 @@ class DriversNode(LifecycleNodeMixin, PacedNode):
     def _follower_of(self, vehicle: int, row: Array, kept: Kept | None) -> Follower:
         assert self._road is not None
         filter_ = self._online.filter_of(self._road.period_s, self._lane, row, self._standard.vehicles)
-        return Follower(vehicle, filter_, kept, self._counts, self._window_s)
+        return Follower(vehicle, filter_, self._road.period_s, kept, self._counts, self._window_s)
 
     def _retire(self, vehicles: list[int]) -> None:
         """Retire some drivers, and keep what was learnt of them."""

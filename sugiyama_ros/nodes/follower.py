@@ -62,14 +62,21 @@ class Follower:
     The stamps of the samples say how much time has passed. What the filter knew before each of the last samples is
     kept for a while, so that a late sample can be sorted in.
 
-    kept: what an earlier run has learnt, from which the filter goes on; counts: numbers of samples by what became of
+    period_s: time between two samples [s]; the filter's own period is shorter where drivers decide more often; kept:
+    what an earlier run has learnt, from which the filter goes on; counts: numbers of samples by what became of
     them, counted on; window_s: time [s] by which a sample may be late and still be sorted in.
     """
 
     def __init__(
-        self, vehicle: int, filter_: OnlineFilter, kept: Kept | None, counts: dict[str, int], window_s: float
+        self,
+        vehicle: int,
+        filter_: OnlineFilter,
+        period_s: float,
+        kept: Kept | None,
+        counts: dict[str, int],
+        window_s: float,
     ) -> None:
-        self.vehicle = vehicle
+        self.vehicle, self._period_s = vehicle, period_s
         self.filter = filter_
         self._kept = kept
         self._counts = counts
@@ -204,7 +211,7 @@ class Follower:
         self.missing_in_a_row = self.missing_in_a_row + 1 if isnan(position[0]) else 0
         self._counts["missing"] += isnan(position[0])
         if elapsed_s is not None:
-            self._counts["skipped"] += steps_between(elapsed_s, self.filter.period_s)[0] - 1
+            self._counts["skipped"] += steps_between(elapsed_s, self._period_s)[0] - 1
         behind, self._lines = self._vehicle_behind(sample), sample.lines(self._chain)
         was_smooth = self.filter.is_smooth
         time_s = sample.stamp_ns / NS
@@ -273,4 +280,4 @@ class Follower:
 
     def _is_known(self, stamp_ns: int, kept: Kept) -> bool:
         """Whether an earlier run has learnt from the sample: the last samples may be sent once more."""
-        return kept.until_ns - DEPTH * self.filter.period_s * NS < stamp_ns <= kept.until_ns
+        return kept.until_ns - DEPTH * self._period_s * NS < stamp_ns <= kept.until_ns

@@ -1,7 +1,6 @@
 """Simulated vehicles as a source of measured positions."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from sugiyama_ros.controllers.registry import controlled_by
 from sugiyama_ros.driver.parameters import COUNT, NAMES, defaults
 from sugiyama_ros.effects.registry import ROW, read_effect
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.fit.model_file import read_model
+from sugiyama_ros.fit.model_file import ModelFile, read_model
 from sugiyama_ros.nodes.base import incoming
 from sugiyama_ros.nodes.base.cdr_messages import NS
 from sugiyama_ros.nodes.base.incoming import RefusedError
@@ -128,22 +127,31 @@ class SimulatorNode(Source):
         scene = option("scene", _ROAD, f"{known}: vehicles come in, let others pass, and leave")
         if scene not in (_ROAD, *SCENES):
             raise InputError(f"scene: {scene} is not known; give {known}")
-        vehicles = option("vehicles", 22, "number of vehicles", (1, 1000))
-        lengths = option("lengths", [0.0], "length of each vehicle, or of all [m]; 0: the usual")
+        path = self.path("model", "model file (YAML) with drivers and effects")
+        model = None if path is None else read_model(path)
+        usual = {} if model is None else model.conditions.of_experiment(len(model.vehicle))
+        vehicles = option(
+            "vehicles",
+            22 if model is None else len(model.vehicle),
+            "number of vehicles; by default as in the model file",
+            (1, 1000),
+        )
+        lengths = option(
+            "lengths", list(usual.get("length_m", [0.0])), "length of each vehicle, or of all [m]; 0: the usual"
+        )
         given = tuple(float(length) for length in lengths)
         ended = "time [s] after which the simulation ends; 0: never"
         spread = "relative std of v_star and kappa_v over the drivers"
         experiment = Experiment(
-            ring_m=option("ring", 230.0, "circumference [m]; 0: an open road", (0.0, 1e5)),
+            ring_m=option("ring", usual.get("ring_m", 230.0), "circumference [m]; 0: an open road", (0.0, 1e5)),
             duration_s=option("duration", 0.0, ended, (0.0, 1e6)),
             gap_m=option("start_gap", 2.0, "gap [m] between vehicles at the start, in a jam", (0.1, 1e3)),
-            period_s=option("period", 1.0 / 3.0, "time [s] between samples", (0.05, 1.0)),
+            period_s=option("period", usual.get("period_s", 1.0 / 3.0), "time [s] between samples", (0.05, 1.0)),
             spread=option("spread", 0.0, spread, (0.0, 1.0)),
             seed=option("seed", 0, "seed of the noise", (0, 2**31 - 1)),
             start=option("start", "jam", "start in a jam, or with equal gaps on a ring"),
             length_m=() if given == (0.0,) else given,
         )
-        model = self.path("model", "model file (YAML) with drivers and effects")
         texts = self.texts("effects", "NAME:PARAMETER=VALUE[,...], each")
         effects = dict(read_effect(text, "effects") for text in texts)
         rows = changed(self._drivers(vehicles, model), {}, effects)
@@ -169,11 +177,9 @@ class SimulatorNode(Source):
             return Health(ERROR, f"{collisions} collisions", {"step": self.next_step, "collisions": collisions})
         return super().health()
 
-    def _drivers(self, vehicles: int, model: Path | None) -> Array:
+    def _drivers(self, vehicles: int, model: ModelFile | None) -> Array:
         """Rows (N, WIDTH) of the drivers at the start."""
-        rows = ROW.with_effects(defaults(vehicles))
-        if model is not None:
-            rows = read_model(model).rows_of(np.arange(vehicles))
+        rows = ROW.with_effects(defaults(vehicles)) if model is None else model.simulated(vehicles)
         usual = np.median(rows[:, :COUNT], axis=0)
         declare_driver(self, usual)
         for k, name in enumerate(NAMES):

@@ -373,6 +373,7 @@ def comparison_document(c: Comparison) -> dict[str, Any]:
         "wave_speed_se": c.wave_speed_se,
         "decision_period_s": c.vicinity.period_s,
         "drivers_left_out": c.data.left_out,
+        "given": None if c.given is None else c.given._asdict(),
         "seed": c.seed,
     }
 

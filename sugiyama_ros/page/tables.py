@@ -35,7 +35,7 @@ def ranked(c: Document) -> list[Document]:
 
 def compared(c: Document, *, show_all: bool = False) -> TextTable:
     """Return the models of a comparison: gains over the base model, and errors."""
-    asked = [one["name"] for one in c["models"] if one["kind"] in ("base", "asked", "in_sample")]
+    asked = [one["name"] for one in c["models"] if one["kind"] in ("base", "asked", "given", "in_sample")]
     best = [one["name"] for one in ranked(c) if one["name"] not in asked]
     kept = {*asked, *best[: max(1, _ROWS - len(asked))]}
     rows = sorted(c["models"], key=lambda one: math.inf if one["kind"] == "simulated" else -one["heldout_gain_nats"])

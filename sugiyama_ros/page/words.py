@@ -524,6 +524,23 @@ def best_model(c: Document) -> str:
     return f"{text}; {_behind(others[0])}." if others[0]["kind"] != "base" else f"{text}."
 
 
+def use_of_file(c: Document, file: str) -> str | None:
+    """How the model of a file was used on a recording that it was not fitted to; None without such a file."""
+    given = c["given"]
+    if given is None:
+        return None
+    text = (
+        f"{file}: what it says of the road and of all drivers is taken as it is; {listed(given['fitted'])} of each"
+        " driver are fitted to this recording, as the base model's are"
+    )
+    if given["left_out"]:
+        text += f"; left out, tied to a moment of its own recording: {listed(given['left_out'])}"
+    period_s = given["decision_period_s"]
+    if period_s is not None and abs(period_s - c["decision_period_s"]) > 0.01 * period_s:
+        text += f"; its drivers decide every {period_s:.2g} s, here every {c['decision_period_s']:.2g} s"
+    return text
+
+
 def _behind(one: Document) -> str:
     return f"{model_name(one['name'])} is {gained(one['behind'])} nats behind"
 

@@ -57,10 +57,10 @@ def test_a_comparison_says_who_is_best_and_shows_six_rows(run, folder):
     assert "The whole road: recorded and simulated" in whole.out
     fresh = run("sugiyama compare other.csv --ring 45 --model model.yaml")
     assert "in sample" not in fresh.out
-    assert "model.yaml is taken as it is, while all other models are fitted to this recording: 4 of 4" in fresh.out
+    assert "model.yaml: what it says of the road and of all drivers is taken as it is; sigma_nu," in fresh.out
     elsewhere = run("sugiyama compare other.csv --ring 45 --model model.yaml --json")
     document = json.loads(elsewhere.out)
-    assert [one["name"] for one in document["models"] if one["kind"] == "asked"] == ["file: drag"]
+    assert [one["name"] for one in document["models"] if one["kind"] == "given"] == ["file: drag"]
     assert document["headline"] == fresh.out.splitlines()[0]
 
 

@@ -17,7 +17,7 @@ from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import OnlineFilter
 from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.fit.goals import Goal, KnownGoals
-from sugiyama_ros.fit.model_file import FittedDrivers, write_drivers
+from sugiyama_ros.fit.model_file import Conditions, FittedDrivers, write_drivers
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.nodes.base import cdr_messages
@@ -309,6 +309,25 @@ def test_the_type_of_the_driver_is_published(stage, tmp_path: Path) -> None:
     learnt, prior = estimator.follower.filter.learnt, estimator.follower.filter.prior
     assert told[-1].probability == pytest.approx(types.probabilities(learnt, prior))
     assert (told[-1].header.stamp.sec, told[-1].vehicle) == (10, 7)
+
+
+def test_drivers_of_a_file_decide_live_as_often_as_in_its_fit(stage, tmp_path: Path) -> None:
+    file, row = tmp_path / "model.yaml", ROW.with_effects(population())
+    conditions = Conditions(decision_period_s=0.5 * PERIOD_S)
+    write_drivers(file, FittedDrivers([7], "", "", row[None], [{}], {}, 0.0, conditions))
+    road, estimator, found = Road(), OneDriver(7, model=str(file)), []
+    road.create_subscription(Innovation, "vehicle_07/innovation", found.append, STREAM)
+    stage.add(road, estimator)
+    stage.until(lambda: estimator.health().level == OK)
+    road.drive(0, 20)
+    stage.until(lambda: len(found) == 20)
+    filter_ = OnlineFilter(0.5 * PERIOD_S, RingRoad(100.0), row)
+    chain = [7, 8, -1][: filter_.vehicles]
+    for k in range(20):
+        position = [5.0 * k * PERIOD_S % 100.0, (30.0 + 5.0 * k * PERIOD_S) % 100.0, nan][: filter_.vehicles]
+        expected = filter_.step(position, chain, [4.5, 4.5, 0.0], k * PERIOD_S, elapsed_s=PERIOD_S if k else None)
+    assert found[-1].innovation_m == pytest.approx(expected.innovation_m, rel=1e-9)
+    assert values(estimator)["skipped"] == 0
 
 
 def test_a_killed_node_continues_from_the_keeper(stage) -> None:

@@ -19,6 +19,7 @@ ORDER = (
     "by_address",
     "plugins",
     "results",
+    "statistics",
     "road",
     "trajectories",
     "driver",

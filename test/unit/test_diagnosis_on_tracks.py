@@ -9,7 +9,7 @@ import pytest
 import sugiyama_ros as sg
 from sugiyama_ros.cli.app import app
 from sugiyama_ros.diagnosis.candidates import candidates, not_searched
-from sugiyama_ros.diagnosis.forecast import forecasts, surroundings
+from sugiyama_ros.diagnosis.forecast import forecasts
 from sugiyama_ros.diagnosis.table import errors
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.errors import InputError
@@ -74,7 +74,7 @@ def test_single_cars_drive_on_alike_on_a_ring_and_on_tracks(ring, work):
     found = []
     for data in (prepare(ring.measured), prepare_stretches(ring.measured)):
         model = of_truth(data, ring)
-        found.append(forecasts(data, surroundings(data, model, work), [model] * FOLDS, work))
+        found.append(forecasts(data, [model] * FOLDS, work))
     on_ring, on_tracks = found
     assert errors(on_tracks)["single_car_10s_m"] == pytest.approx(errors(on_ring)["single_car_10s_m"], rel=0.1)
     assert np.nanstd(on_tracks.single.error - on_ring.single.error) < 0.3 * np.nanstd(on_ring.single.error)

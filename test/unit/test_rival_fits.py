@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.speed.timing import jam
 from sugiyama_ros.diagnosis.base import laws
-from sugiyama_ros.diagnosis.forecast import forecasts, surroundings
+from sugiyama_ros.diagnosis.forecast import forecasts
 from sugiyama_ros.diagnosis.refine import without_folds
 from sugiyama_ros.diagnosis.table import Entry
 from sugiyama_ros.fit.joint import fit_base, start_model
@@ -40,9 +40,9 @@ def base(data, work):
     return fit_base(data, data.even.individual(), work)
 
 
-def entry(data, around, name, fitted, work):
+def entry(data, name, fitted, work):
     models = without_folds(data, fitted, work)
-    return Entry(name, (), fitted, models, forecasts(data, around, models, work))
+    return Entry(name, (), fitted, models, forecasts(data, models, work))
 
 
 def test_some_drivers_are_predicted_as_among_all_drivers(data, work):
@@ -58,12 +58,12 @@ def test_some_drivers_are_predicted_as_among_all_drivers(data, work):
 
 def test_only_laws_that_may_be_better_are_fitted_to_all_drivers(data, base, work, monkeypatch):
     """The cars drive by the model of the paper, so that a constant speed is far behind. Then the IDM has to beat it."""
-    around, names = surroundings(data, base.model, work), ("constant_speed", "idm")
+    names = ("constant_speed", "idm")
     assert set(names) < set(RIVALS) < set(registry.LAWS)
     monkeypatch.setattr("sugiyama_ros.diagnosis.base.LAWS", {names[0]: registry.LAWS[names[0]]})
-    assert laws(data, around, entry(data, around, "base", base, work), work) == ()
+    assert laws(data, entry(data, "base", base, work), work) == ()
     monkeypatch.setattr("sugiyama_ros.diagnosis.base.LAWS", {names[1]: registry.LAWS[names[1]]})
-    slow = entry(data, around, "constant_speed", in_filter(data, "constant_speed", work), work)
-    (idm,) = laws(data, around, slow, work)
+    slow = entry(data, "constant_speed", in_filter(data, "constant_speed", work), work)
+    (idm,) = laws(data, slow, work)
     assert idm.name == "idm"
     assert idm.over(data, slow)["all"].is_clear

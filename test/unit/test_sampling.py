@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sugiyama_ros.diagnosis.forecast import forecasts, surroundings
+from sugiyama_ros.diagnosis.forecast import forecasts
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import start_model
@@ -70,7 +70,7 @@ def test_simulated_recordings_miss_what_the_recording_misses(slow):
     with ThreadPoolExecutor(1) as work:
         states = filtered_states(data, model, work)
         simulated = resample(data, model, states, np.random.default_rng(3))
-        runs = forecasts(data, surroundings(data, model, work), [model] * FOLDS, work)
+        runs = forecasts(data, [model] * FOLDS, work)
     assert np.array_equal(np.isnan(simulated.trajectories.position_m), np.isnan(data.trajectories.position_m))
     assert (simulated.every, simulated.even.period_s) == (EVERY, data.even.period_s)
     # free runs start at and are compared with pictures

@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 from scipy.stats import kstest, norm
@@ -99,6 +101,26 @@ def test_one_candidate_of_many_that_acts_is_found() -> None:
     assert sorted(p, key=lambda name: p[name])[0] == "c7"
     # half of the square of the sum over its information
     assert found[7].gain == pytest.approx(0.5 * found[7].score.sum() ** 2 / (_DRIVERS * _BLOCKS), rel=1e-5)
+
+
+def _once(gain: float) -> Score:
+    """What was chosen among many places: one block, whose gain is known."""
+    candidate, nowhere = Candidate("external_push", "external_push", "effect", (0,), ({0: 1.0},)), np.zeros(1, np.int64)
+    return Score(candidate, candidate.starts, np.array([[gain]]), None, np.ones((1, 1)), nowhere, nowhere, 1)
+
+
+@settings(max_examples=20)
+@given(order=st.permutations(range(7)), simulated=st.permutations(range(6)), gain=st.floats(-20.0, 200.0))
+def test_chance_does_not_depend_on_the_order_of_the_scores(order: list[int], simulated: list[int], gain: float) -> None:
+    rng = np.random.default_rng(2)
+    found = [_once(gain), *(_score(rng, f"c{k}", places=1 + k % 2, strength=0.3 * (k == 2)) for k in range(6))]
+    there = [_score(rng, f"c{k}", places=1 + k % 2) for k in range(6)]
+    first, again = (
+        chance_of(found, [there], 0),
+        chance_of([found[k] for k in order], [[there[k] for k in simulated]], 0),
+    )
+    assert again == first
+    assert first.p_values["external_push"] < 0.01 if gain > 20.0 else first.p_values["c2"] < 0.05
 
 
 def test_an_effect_of_few_drivers_does_not_hide_in_its_own_spread() -> None:

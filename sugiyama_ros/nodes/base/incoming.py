@@ -21,12 +21,11 @@ from sugiyama_msgs.msg import Road as RoadMessage
 
 from sugiyama_ros.nodes.base.cdr_messages import NS
 from sugiyama_ros.nodes.base.samples import Sample
+from sugiyama_ros.road import PERIODS_S, RINGS_M
 from sugiyama_ros.trajectories.placing import OPTIONAL
 
 #: Steps of a recording, at most; counts of steps stay exact in a double.
 MOST_STEPS = 1 << 53
-#: Time [s] between two samples, and circumference [m] of a ring, for which the model makes sense.
-PERIODS_S, RINGS_M = (1e-3, 1e3), (1.0, 1e7)
 #: Time [s] between the stamps of a vehicle and of its sample, at most.
 MOST_OFFSET_S = 60.0
 # Bytes before the first field of a message.

@@ -17,7 +17,7 @@ from sugiyama_ros.filters.goals import GoalFilter
 from sugiyama_ros.filters.online import ADAPT, OnlineFilter
 from sugiyama_ros.fit.driver_types import LEAST_STD
 from sugiyama_ros.fit.goals import KnownGoals
-from sugiyama_ros.fit.model_file import ModelFile, drivers_of
+from sugiyama_ros.fit.model_file import ModelFile, decisions_between, drivers_of
 from sugiyama_ros.laws.registry import ADAPTIVE_SEEK, PAPERS
 from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.road import Road
@@ -73,19 +73,23 @@ class OnlineSettings:
     """What is learnt online of a driver: preferences, in the state of the filter, and parameters of effects.
 
     of_effects: names such as ``drag.c0``, ``effects`` for all strengths, or ``law``; engine: of ``ENGINES``; goals:
-    what drivers may intend, if the model knows it.
+    what drivers may intend, if the model knows it; decision_period_s: time [s] from one decision of a driver to the
+    next, if the model knows it.
     """
 
     adaptation: Adaptation
     of_effects: tuple[str, ...]
     engine: Engine
     goals: KnownGoals | None = None
+    decision_period_s: float | None = None
 
     def filter_of(self, period_s: float, road: Road, row: Array, vehicles: int = CHAIN) -> OnlineFilter:
         """Return the filter of a driver who starts from a row (WIDTH,), with a number of vehicles in its chain.
 
+        period_s: time between two samples [s]; drivers who decide more often have filters with a shorter period.
         A filter that learns values of effects keeps the usual chain: each value costs as much as another filter.
         """
+        period_s /= decisions_between(period_s, self.decision_period_s)
         if self.goals is not None:
             return GoalFilter(period_s, road, row, self.goals.rows, self.goals.prior, self.adaptation, vehicles)
         if self.of_effects:
@@ -124,7 +128,9 @@ def declare_adapt(node: PacedNode, rows: Array, model: ModelFile) -> OnlineSetti
     if model.goals is not None and (of_effects or engine != ENGINES[0]):
         wrong = "adapt: takes no parameters of effects" if of_effects else f"engine: takes {ENGINES[0]} only"
         raise InputError(f"{wrong} beside goals; take the goals out of the model file")
-    return OnlineSettings(Adaptation(own, stds, ADAPT.relaxation_s), of_effects, engine, model.goals)
+    return OnlineSettings(
+        Adaptation(own, stds, ADAPT.relaxation_s), of_effects, engine, model.goals, model.conditions.decision_period_s
+    )
 
 
 def engine_of(name: str) -> Engine:
