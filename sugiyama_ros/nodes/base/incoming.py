@@ -4,21 +4,19 @@ The middleware hands over bytes, because a message that it cannot decode would e
 decodes them and raises `RefusedError` if they are no valid message.
 """
 
-import struct
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache, lru_cache, partial
-from importlib import import_module
+from functools import lru_cache, partial
 from math import isfinite, isnan, nan
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rclpy.serialization import deserialize_message
-from rosidl_parser.definition import AbstractSequence, AbstractString, Array, BasicType, NamespacedType
 from sugiyama_msgs.msg import DriverArray, DriverParameters, MeasuredPositions, Verdict
 from sugiyama_msgs.msg import Road as RoadMessage
 
+from sugiyama_ros.nodes.base.cdr_layout import ENCAPSULATION, over
 from sugiyama_ros.nodes.base.cdr_messages import NS
 from sugiyama_ros.nodes.base.samples import Sample
 from sugiyama_ros.road import PERIODS_S, RINGS_M
@@ -28,19 +26,8 @@ from sugiyama_ros.trajectories.placing import OPTIONAL
 MOST_STEPS = 1 << 53
 #: Time [s] between the stamps of a vehicle and of its sample, at most.
 MOST_OFFSET_S = 60.0
-# Bytes before the first field of a message.
-_ENCAPSULATION = 4
 # Characters of a reason; names from messages may be in it.
 _LONGEST_REASON = 500
-# Bytes of the basic types of CDR.
-_SIZES = {
-    **dict.fromkeys(("boolean", "octet", "char", "uint8", "int8"), 1),
-    **dict.fromkeys(("int16", "uint16", "wchar"), 2),
-    **dict.fromkeys(("int32", "uint32", "float"), 4),
-    **dict.fromkeys(("int64", "uint64", "double"), 8),
-}
-# Moves on from an offset, over one value.
-_Skip = Callable[[memoryview, int], int]
 
 
 class RefusedError(ValueError):
@@ -188,10 +175,10 @@ def named_values(what: str, names: Sequence[str], values: Sequence[float]) -> di
 def decoded(raw: bytes, kind: type) -> Any:
     """Decode a message of a class from bytes in plain CDR. Raises RefusedError."""
     # ROS 2 Kilted would end the process on a message that is nothing but its encapsulation
-    if raw[:2] not in (b"\0\0", b"\0\1") or len(raw) <= _ENCAPSULATION:
+    if raw[:2] not in (b"\0\0", b"\0\1") or len(raw) <= ENCAPSULATION:
         raise RefusedError("is not in plain CDR")
     try:
-        _lengths(kind, "<" if raw[1] else ">")(memoryview(raw)[_ENCAPSULATION:], 0)
+        over(kind, "<" if raw[1] else ">")(memoryview(raw)[ENCAPSULATION:], 0)
         return deserialize_message(raw, kind)
     except Exception:  # the middleware's own class, which it does not export
         raise RefusedError(f"cannot be decoded as {kind.__name__}") from None
@@ -204,68 +191,3 @@ _DECODERS: Mapping[type, Callable[[bytes], Any]] = {
     DriverArray: drivers,
     Verdict: verdict,
 }
-
-
-@cache
-def _lengths(kind: Any, order: str) -> _Skip:
-    """What checks whether the lengths that a message claims fit into its bytes. It raises ValueError.
-
-    The middleware makes room for everything that a message claims before it reads it: 60 bytes that claim 2**28 texts
-    take 11 GB. So this is checked first.
-    """
-    fields = [_skip(one, order) for one in kind.SLOT_TYPES]
-
-    def skip(body: memoryview, at: int) -> int:
-        for field in fields:
-            at = field(body, at)
-        return at
-
-    return skip
-
-
-def _skip(kind: Any, order: str) -> _Skip:
-    """What moves over one value of a type."""
-    if isinstance(kind, BasicType):
-        return _elements(_SIZES[kind.typename], 1)
-    if isinstance(kind, AbstractString):
-        return lambda body, at: _elements(1, _length(order, body, at))(body, _aligned(at, 4) + 4)
-    if isinstance(kind, NamespacedType):
-        return _lengths(getattr(import_module(".".join(kind.namespaces)), kind.name), order)
-    element = kind.value_type
-    size = _SIZES[element.typename] if isinstance(element, BasicType) else 0
-    one = _skip(element, order)
-
-    def several(body: memoryview, at: int, count: int) -> int:
-        if size:
-            return _elements(size, count)(body, at)
-        if count > len(body) - at:
-            raise ValueError(f"claims {count} elements")
-        for _ in range(count):
-            at = one(body, at)
-        return at
-
-    if isinstance(kind, Array):
-        return lambda body, at: several(body, at, kind.size)
-    assert isinstance(kind, AbstractSequence)
-    return lambda body, at: several(body, _aligned(at, 4) + 4, _length(order, body, at))
-
-
-def _elements(size: int, count: int) -> _Skip:
-    def skip(body: memoryview, at: int) -> int:
-        end = _aligned(at, size) + count * size if count else at
-        if end > len(body):
-            raise ValueError(f"claims {end} bytes, has {len(body)}")
-        return end
-
-    return skip
-
-
-def _aligned(at: int, size: int) -> int:
-    return -(-at // size) * size
-
-
-def _length(order: str, body: memoryview, at: int) -> int:
-    try:
-        return int(struct.unpack_from(f"{order}I", body, _aligned(at, 4))[0])
-    except struct.error:
-        raise ValueError("is cut off") from None
