@@ -6,6 +6,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
 from sugiyama_ros.formats.measured import FRAME
+from sugiyama_ros.nodes import source
 from sugiyama_ros.nodes.base import cdr_messages, incoming
 from sugiyama_ros.nodes.base.samples import Sample
 from sugiyama_ros.nodes.source import Markers
@@ -68,3 +69,45 @@ def test_markers_are_boxes_where_the_vehicles_are(ring_m: float, vehicles: int) 
         assert box.pose.orientation.z == pytest.approx(np.sin(heading / 2.0))
         assert box.pose.orientation.w == pytest.approx(np.cos(heading / 2.0))
     assert all((m.header.stamp.sec, m.header.stamp.nanosec) == (12, 345) for m in before)
+
+
+def test_messages_of_markers_may_have_fewer_boxes_than_before_and_more() -> None:
+    markers = Markers(Road(230.0))
+    for vehicles in (3, 1, 0, 7, 6, 40, 2):
+        number, position = [5 + k for k in range(vehicles)], [10.0 * k for k in range(vehicles)]
+        raw = markers.message(vehicles, Positions(number, [-1] * vehicles, position, [4.0] * vehicles))
+        first, line, *boxes = deserialize_message(raw, MarkerArray).markers
+        assert (first.action, line.ns, len(line.points)) == (Marker.DELETEALL, "road", 73)
+        assert [(m.id, m.ns, m.header.stamp.nanosec) for m in boxes] == [(k, "vehicles", vehicles) for k in number]
+
+
+@pytest.mark.parametrize("byte", [0x1D, 0xC0, 0x07, 0x00, 0xFF])
+def test_boxes_do_not_depend_on_what_the_middleware_leaves_between_the_fields(
+    byte: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Bytes between the fields have any value: the middleware does not set them."""
+    filled = []
+
+    def serialize(message: MarkerArray) -> bytes:
+        raw = bytearray(serialize_message(message))
+        known = deserialize_message(bytes(raw), MarkerArray)
+        for place in range(4, len(raw)):
+            changed = raw.copy()
+            changed[place] ^= 0xFF
+            try:
+                if incoming.decoded(bytes(changed), MarkerArray) == known:
+                    raw[place] = byte
+                    filled.append(place)
+            except incoming.RefusedError:
+                pass
+        return bytes(raw)
+
+    monkeypatch.setattr(source, "serialize_message", serialize)
+    number, position = [100, 7, 1], [10.5, 60.25, 90.0]
+    raw = Markers(Road()).message(7, Positions(number, [-1] * 3, position, [4.0, 5.0, 6.0]))
+    boxes = deserialize_message(raw, MarkerArray).markers[1:]
+    assert len(filled) >= 10 * len(boxes)
+    assert [m.id for m in boxes] == number
+    assert [m.pose.position.x for m in boxes] == position
+    assert [m.scale.x for m in boxes] == [4.0, 5.0, 6.0]
+    assert [(m.header.stamp.sec, m.header.stamp.nanosec) for m in boxes] == [(0, 7)] * 3

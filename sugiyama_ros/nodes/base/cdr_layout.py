@@ -4,6 +4,7 @@ import struct
 from collections.abc import Callable
 from functools import cache
 from importlib import import_module
+from itertools import takewhile
 from typing import Any
 
 from rosidl_parser.definition import AbstractSequence, AbstractString, Array, BasicType, NamespacedType
@@ -38,6 +39,19 @@ def over(kind: Any, order: str) -> _Skip:
     return skip
 
 
+def offset(kind: Any, name: str, body: memoryview, at: int) -> int:
+    """Offset of a number in a message (little endian) of a class that begins at ``at``.
+
+    name: of its field, such as ``pose.position.x``.
+    """
+    field, _, rest = name.partition(".")
+    types = dict(zip(kind.get_fields_and_field_types(), kind.SLOT_TYPES, strict=True))
+    for before in takewhile(lambda other: other != field, types):
+        at = _skip(types[before], "<")(body, at)
+    inner = types[field]
+    return offset(_class(inner), rest, body, at) if rest else _aligned(at, _SIZES[inner.typename])
+
+
 def _skip(kind: Any, order: str) -> _Skip:
     """What moves over one value of a type."""
     if isinstance(kind, BasicType):
@@ -45,7 +59,7 @@ def _skip(kind: Any, order: str) -> _Skip:
     if isinstance(kind, AbstractString):
         return lambda body, at: _elements(1, _length(order, body, at))(body, _aligned(at, 4) + 4)
     if isinstance(kind, NamespacedType):
-        return over(getattr(import_module(".".join(kind.namespaces)), kind.name), order)
+        return over(_class(kind), order)
     element = kind.value_type
     size = _SIZES[element.typename] if isinstance(element, BasicType) else 0
     one = _skip(element, order)
@@ -63,6 +77,10 @@ def _skip(kind: Any, order: str) -> _Skip:
         return lambda body, at: several(body, at, kind.size)
     assert isinstance(kind, AbstractSequence)
     return lambda body, at: several(body, _aligned(at, 4) + 4, _length(order, body, at))
+
+
+def _class(kind: NamespacedType) -> Any:
+    return getattr(import_module(".".join(kind.namespaces)), kind.name)
 
 
 def _elements(size: int, count: int) -> _Skip:
