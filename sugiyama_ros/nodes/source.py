@@ -164,13 +164,19 @@ class Source(PacedNode):
             )
 
     def _pump(self) -> None:
-        """Send the steps that are due and fit into the window."""
+        """Send the steps that are due and fit into the window.
+
+        No more than a window at a time: without a subscriber that reports its progress nothing else would end it, and
+        nothing else would be heard, neither a service nor a signal.
+        """
         if self.next_step == self.samples.steps > 0 and self.loop and self._jump_to is None:
             self._jump_to = 0
         if self._jump_to is not None and self._pace.drained:
             self.next_step, self._jump_to, self._anchor = self._jump_to, None, None
             self._pace.restart(self.next_step)
-        while not self._paused and self._may_send and self._is_due():
+        for _ in range(self._pace.window):
+            if self._paused or not self._may_send or not self._is_due():
+                break
             self._send()
         if self._pace.acknowledged > self.steps:
             self._last_s = time.monotonic()

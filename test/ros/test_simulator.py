@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
 from sugiyama_msgs.msg import MeasuredPositions, StyleChange, TrueParameters, Truth
 from sugiyama_msgs.srv import SetDriver
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.truth import read_truth
-from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
+from sugiyama_ros.nodes.base.qos import LATCHED, STREAM, WINDOW
 from sugiyama_ros.nodes.drivers import DriversNode
 from sugiyama_ros.nodes.plan import FromSimulator
 from sugiyama_ros.nodes.run import run
@@ -77,6 +78,17 @@ def test_one_driver_changes_and_all_drivers_change(stage) -> None:
         (refused,) = node.set_parameters([parameter])
         assert not refused.successful
         assert refused.reason
+
+
+def test_without_an_end_and_as_fast_as_it_goes_it_still_hears_others(stage) -> None:
+    """Nobody who reports progress is there to be waited for: a listener hears samples, and a pause is a pause."""
+    node, listener = simulator(vehicles=3, ring=60.0, rate=0.0), Listener(1)
+    stage.add(node, listener)
+    stage.until(lambda: bool(listener.samples) and node.next_step > 3 * WINDOW)
+    assert stage.call(Trigger, "/simulator/pause", Trigger.Request()).success
+    paused_at = node.next_step
+    stage.for_a_while(0.2)
+    assert node.next_step == paused_at
 
 
 def test_the_truth_is_what_the_drivers_do(stage) -> None:
