@@ -29,6 +29,7 @@ from sugiyama_msgs.msg import Progress
 
 from sugiyama_ros.errors import InputError, SugiyamaError
 from sugiyama_ros.nodes.base.incoming import receiver, unusable
+from sugiyama_ros.nodes.base.names import for_other_nodes
 from sugiyama_ros.nodes.base.qos import PROGRESS_OUT, STREAM, WINDOW
 
 #: Name of the node that records, in any namespace, and how topics of ROS itself end that say nothing about the road.
@@ -102,10 +103,14 @@ class PacedNode(Node):
     """A node that counts what it publishes, tells the source how far it has come, and reports its health.
 
     Subclasses define ``health``. A node that cannot go on sets ``failure``, and one whose work is done ``is_done``.
+    Raises InputError where the node was given a parameter that no node has.
     """
 
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
+        given = [one for one in self._parameter_overrides if not self.has_parameter(one)]
+        if others := for_other_nodes(name, self.get_name(), given):
+            self.get_logger().warning(f"not used here, since other nodes have these parameters: {', '.join(others)}")
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         #: Samples that may be under way from the source to the slowest node.
         self.window = WINDOW
