@@ -19,6 +19,7 @@ from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.driver.parameters import NAMES, V_STAR
 from sugiyama_ros.effects.registry import ROW, active, switched_on
 from sugiyama_ros.errors import InputError, SugiyamaError
+from sugiyama_ros.files import make_directory
 from sugiyama_ros.filters.goals import GoalFilter
 from sugiyama_ros.filters.online import Estimate, OnlineFilter, warm_up
 from sugiyama_ros.fit.model_file import ModelFile
@@ -96,12 +97,16 @@ class DriversNode(LifecycleNodeMixin, PacedNode):
         self.guard_services()
         warm_up()
         some = f"numbers of the vehicles to follow, in view or not; {_EVERYBODY}: every vehicle in view"
-        self._only = [v for v in self.option("vehicles", [_EVERYBODY], some) if v >= 0]
+        self._only = self.vehicles("vehicles", some)
         self._model = declare_model(self)
         typical = self._model.rows_of(np.array([_EVERYBODY]))[0]
         self._usual = typical[: len(NAMES)]
         self._save_state = self.path("save_state", "directory in which to keep what was learnt, for resume")
+        if self._save_state is not None:
+            make_directory(self._save_state)
         self._resume = self.path("resume", "directory with what an earlier run has learnt, to go on from")
+        if self._resume is not None and not self._resume.is_dir():
+            raise InputError(f"resume: {self._resume} is no directory; give one that save_state has named")
         asks = self.option("ask_keeper", False, "whether to go on from what the keeper has last heard of vehicles")
         self._asked = set(self._only if asks else ())
         rows = self._model.rows_of(np.array(self._only)) if self._only else self._model.rows

@@ -1,5 +1,6 @@
 """Records the serialized bytes of all topics, as they come, in one MCAP file."""
 
+import math
 import time
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -47,18 +48,19 @@ class Recorder(PacedNode):
         measured = self.resolve_topic_name("measured")
         output = self.option("output", "", "MCAP file to write, or directory for rosbag2")
         overwrite = self.option("overwrite", False, "replace a file of this name")
-        paced = self.option("paced_topics", [measured], "full names of the topics with one message a step")
-        metadata = self.option("metadata", [""], "lines key=value to keep in the file")
+        paced = self.full_names("paced_topics", [measured], "full names of the topics with one message a step")
+        metadata = self.texts("metadata", "lines key=value to keep in the file")
         times = self.option("time_source", "wall", "times in the file: wall, or data for the stamps of the samples")
-        split_mb = self.option("split_mb", 0.0, "size [MB] at which the next file of a directory begins; 0: one file")
+        split = "size [MB] at which the next file of a directory begins; 0: one file"
+        split_mb = self.option("split_mb", 0.0, split, (0.0, 1e9))
         if not output:
             raise InputError("recorder: no file given; start it with -p output:=FILE.mcap")
         if times not in ("wall", "data"):
-            raise InputError(f"recorder: time_source {times} is not known; give wall or data")
+            raise InputError(f"recorder: time_source {times!r} is not known; give wall or data")
         for line in metadata:
-            if line and "=" not in line:
+            if "=" not in line:
                 raise InputError(f"recorder: metadata {line!r} is no line key=value")
-        about = dict(line.split("=", 1) for line in metadata if line)
+        about = dict(line.split("=", 1) for line in metadata)
         self._output = output
         self._bag = _writer(Path(output), overwrite, split_mb, about)
         self._time = _LogTime(times == "data")
@@ -316,4 +318,4 @@ def _writer(path: Path, overwrite: bool, split_mb: float, about: dict[str, str])
         if split_mb > 0.0:
             raise InputError(f"{path}: is one file; give a directory, or leave out split_mb")
         return BagWriter(Output(path, overwrite), about)
-    return FolderWriter(path, round(split_mb * _MB), about)
+    return FolderWriter(path, math.ceil(split_mb * _MB), about)

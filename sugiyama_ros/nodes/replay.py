@@ -14,6 +14,7 @@ from sugiyama_ros.formats.measured import FORMAT as BAG
 from sugiyama_ros.formats.measured import stamp_ns
 from sugiyama_ros.formats.registry import format_of, known_suffixes, read_tracks
 from sugiyama_ros.formats.truth import read_truth
+from sugiyama_ros.nodes.base.incoming import RINGS_M
 from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER, PositionSamples
 from sugiyama_ros.nodes.source import Source, TrueTopics, answer
@@ -188,7 +189,8 @@ class Replay(Source):
         """The samples that were given, or else the file that parameter ``source`` names."""
         source = self.option("source", "", f"file of trajectories: {known_suffixes()}")
         ring = "circumference [m] of the ring, where the file does not say it; 0: as the file says"
-        ring_m, self.loop = self.option("ring", 0.0, ring), self.option("loop", False, "start again at the end")
+        ring_m = self.option("ring", 0.0, ring, (0.0, RINGS_M[1]))
+        self.loop = self.option("loop", False, "start again at the end")
         if self._given is not None:
             return self._given
         if not source:

@@ -126,19 +126,14 @@ class SimulatorNode(Source):
         known = f"{_ROAD}, or {', '.join(SCENES)}"
         scene = option("scene", _ROAD, f"{known}: vehicles come in, let others pass, and leave")
         if scene not in (_ROAD, *SCENES):
-            raise InputError(f"scene: {scene} is not known; give {known}")
+            raise InputError(f"scene: {scene!r} is not known; give {known}")
         path = self.path("model", "model file (YAML) with drivers and effects")
         model = None if path is None else read_model(path)
-        usual = {} if model is None else model.conditions.of_experiment(len(model.vehicle))
-        vehicles = option(
-            "vehicles",
-            22 if model is None else len(model.vehicle),
-            "number of vehicles; by default as in the model file",
-            (1, 1000),
-        )
-        lengths = option(
-            "lengths", list(usual.get("length_m", [0.0])), "length of each vehicle, or of all [m]; 0: the usual"
-        )
+        count = 22 if model is None else len(model.vehicle)
+        vehicles = option("vehicles", count, "number of vehicles; by default as in the model file", (1, 1000))
+        usual = {} if model is None else model.conditions.of_experiment(vehicles)
+        several = list(usual.get("length_m", [0.0]))
+        lengths = option("lengths", several, "length of each vehicle, or of all [m]; 0: the usual")
         given = tuple(float(length) for length in lengths)
         ended = "time [s] after which the simulation ends; 0: never"
         spread = "relative std of v_star and kappa_v over the drivers"
@@ -155,9 +150,9 @@ class SimulatorNode(Source):
         texts = self.texts("effects", "NAME:PARAMETER=VALUE[,...], each")
         effects = dict(read_effect(text, "effects") for text in texts)
         rows = changed(self._drivers(vehicles, model), {}, effects)
-        numbers = option("controlled", [-1], "numbers of vehicles that the controller drives; -1: none")
+        numbers = self.vehicles("controlled", "numbers of vehicles that the controller drives; -1: none")
         controller = option("controller", "", "NAME[:KEY=VALUE[,...]]: what drives the controlled vehicles")
-        controlled = controlled_by([v for v in numbers if v >= 0] or None, controller or None)
+        controlled = controlled_by(numbers or None, controller or None)
         steps = experiment.samples if experiment.duration_s else 0
         if scene != _ROAD:
             if controlled is not None:

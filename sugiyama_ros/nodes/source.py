@@ -66,7 +66,7 @@ class Source(PacedNode):
         about = ParameterDescriptor(description="times real time; 0: as fast as the subscribers take it")
         about.floating_point_range = [FloatingPointRange(from_value=0.0, to_value=1e6)]
         self.declare_parameter("rate", 1.0, about)
-        awaited = self.texts("wait_for", "full names of the nodes to wait for before the first step")
+        awaited = self.full_names("wait_for", [""], "full names of the nodes to wait for before the first step")
         self._paused = self.option("start_paused", False, "wait for ~/resume or ~/step")
         self._exits_at_end = self.option("exit_at_end", False, "end when the last sample has been taken")
         self.loop = False

@@ -1,4 +1,4 @@
-"""Parameters of nodes: names that no node has are refused in one line."""
+"""Parameters of nodes: names that no node has, and values with which a node cannot work, are refused in one line."""
 
 import subprocess
 import sys
@@ -102,3 +102,51 @@ def test_a_file_for_several_nodes(make: Make, tmp_path: Path) -> None:
         SugiyamaError, match=r"^parameter sigma_mu: critic has none of this name, the nearest is sigma_"
     ):
         make("critic", "--params-file", str(file))
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "why"),
+    [
+        ("drivers", "vehicles:=[]", "vehicles: what was given is not a list of whole numbers; give one such as [-1]"),
+        ("drivers", "vehicles:=7", "vehicles: what was given is not a list of whole numbers; give one such as [-1]"),
+        ("drivers", "vehicles:=[-7]", "vehicles: -7 is no vehicle, or was named before; give numbers from 0 on"),
+        ("drivers", "vehicles:=[7, 7]", "vehicles: 7 is no vehicle, or was named before"),
+        ("drivers", "vehicles:=[-1, 7]", "each once, or -1 alone for every vehicle in view"),
+        ("drivers", "vehicles:=[3000000000]", "vehicles: 3000000000 is no vehicle"),
+        ("drivers", "resume:=/no/such/folder", "resume: /no/such/folder is no directory; give one that save_state"),
+        ("drivers", "save_state:=/dev/null/state", "/dev/null/state: cannot be written"),
+        ("drivers", "v_star:=.nan", "v_star: out of bounds; give 0.5 to 80"),
+        ("drivers", "v_star:=[]", "v_star: what was given is not a number"),
+        ("drivers", "most_drivers:=0", "most_drivers: out of bounds; give 1 to 100000"),
+        ("drivers", "use_sim_time:=[]", "use_sim_time: what was given is not true or false"),
+        ("recorder", "split_mb:=-1", "split_mb: out of bounds; give 0 to"),
+        ("recorder", "split_mb:=.nan", "split_mb: out of bounds"),
+        ("recorder", "paced_topics:=[measured]", "paced_topics: measured is no full name; give /measured"),
+        ("recorder", "time_source:=''", "time_source '' is not known; give wall or data"),
+        ("replay", "ring:=-230.0", "ring: out of bounds; give 0 to 10000000"),
+        ("replay", "ring:=.inf", "ring: out of bounds"),
+        ("replay", "wait_for:=[recorder]", "wait_for: recorder is no full name; give /recorder"),
+        ("simulator", "controlled:=[-7]", "controlled: -7 is no vehicle, or was named before"),
+        ("simulator", "lengths:=[]", "lengths: what was given is not a list of numbers; give one such as [0.0]"),
+        ("simulator", "lengths:=[.nan]", "give one each, or one for all, above 0 and below 100 m"),
+        ("tracks", "topics:=[]", "no centre line or no topics given"),
+    ],
+)
+def test_a_value_with_which_a_node_cannot_work(make: Make, name: str, given: str, why: str) -> None:
+    key, _, value = given.partition(":=")
+    with pytest.raises(SugiyamaError) as raised:
+        make(name, **{key: value})
+    assert why in str(raised.value)
+
+
+def test_an_empty_list_of_texts_is_a_list_without_texts(make: Make) -> None:
+    assert "once" not in make("simulator", wait_for="[]", effects="[]", start_paused="true").doing
+    assert make("drivers", adapt="[]", publish="[]").health().message.startswith("waiting for a road")
+    recorder = make("recorder", paced_topics="[]", metadata="[]")
+    recorder.close()
+
+
+def test_a_directory_is_made_that_save_state_names_and_may_be_resumed(make: Make, tmp_path: Path) -> None:
+    folder = str(tmp_path / "new" / "state")
+    make("drivers", save_state=folder, resume=folder)
+    assert Path(folder).is_dir()

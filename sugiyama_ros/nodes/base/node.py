@@ -41,8 +41,11 @@ _LOOK_S = 0.5
 _READY_S, _READY_LOOK_S = 1.0, 0.01
 _REPORT_S = 1.0
 _RECEIVED_S = 5.0
-# What a parameter of a type is called.
+# What a parameter of a type is called, and several of them.
 _KINDS = {float: "a number", int: "a whole number", bool: "true or false", str: "a text"}
+_LISTS = {float: "a list of numbers", int: "a list of whole numbers", str: "a list of texts"}
+# Numbers that a vehicle can have, and the number that stands for no vehicle in a list of them.
+_VEHICLES, _NO_VEHICLE = range(1 << 31), -1
 _VOLATILE, _BEST_EFFORT = QoSDurabilityPolicy.VOLATILE, QoSReliabilityPolicy.BEST_EFFORT
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
@@ -142,16 +145,20 @@ class PacedNode(Node):
         """
         given = self._parameter_overrides.get(name)
         if given is not None:
-            self._parameter_overrides[name] = _real(given, value)
+            self._parameter_overrides[name] = given = _as_known(given, value)
         try:
-            return super().declare_parameter(name, value, *rest, **more)
+            if given is None or given.type_ != Parameter.Type.NOT_SET:
+                return super().declare_parameter(name, value, *rest, **more)
         except InvalidParameterTypeException:
-            kind = _KINDS.get(type(value), "of the right type")
-            raise InputError(f"parameter {name}: what was given is not {kind}; give one such as {value!r}") from None
+            pass
         except InvalidParameterValueException as error:
             raise InputError(_out_of_bounds(name, (*rest, *more.values())) or str(error)) from None
         except ParameterException as error:
             raise InputError(str(error)) from None
+        kind = _LISTS.get(type(value[0])) if isinstance(value, list) else _KINDS.get(type(value))
+        raise InputError(
+            f"parameter {name}: what was given is not {kind or 'of the right type'}; give one such as {value!r}"
+        )
 
     def option(self, name: str, default: Any, description: str, bounds: tuple[float, float] | None = None) -> Any:
         """Declare a parameter that is given at the start, within bounds if it is a number, and return its value."""
@@ -171,6 +178,27 @@ class PacedNode(Node):
         """Declare a parameter with a list of texts, and return those that are not empty."""
         return [str(text) for text in self.option(name, [""], description) if text]
 
+    def vehicles(self, name: str, description: str) -> list[int]:
+        """Declare a parameter with numbers of vehicles, and return them; none if -1 is given. Raises InputError."""
+        given = list(self.option(name, [_NO_VEHICLE], description))
+        if given == [_NO_VEHICLE]:
+            return []
+        for k, number in enumerate(given):
+            if number not in _VEHICLES or number in given[:k]:
+                raise InputError(
+                    f"parameter {name}: {number} is no vehicle, or was named before; give numbers from 0 on, each once,"
+                    f" or {_NO_VEHICLE} alone for {description.rpartition(f'{_NO_VEHICLE}: ')[2]}"
+                )
+        return given
+
+    def full_names(self, name: str, default: list[str], description: str) -> list[str]:
+        """Declare a parameter with full names of nodes or topics, and return them. Raises InputError."""
+        given = [str(text) for text in self.option(name, default, description) if text]
+        for text in given:
+            if not text.startswith("/"):
+                raise InputError(f"parameter {name}: {text} is no full name; give /{text}, with its namespace if any")
+        return given
+
     def set_parameters(self, parameter_list: list[Parameter]) -> list[SetParametersResult]:
         """Set parameters, each on its own. Where a real number is expected, a whole number will do."""
         return super().set_parameters([self._as_declared(p) for p in parameter_list])
@@ -183,7 +211,7 @@ class PacedNode(Node):
         if not parameter.name:  # rclpy would take it, because "" counts as false
             raise ParameterNotDeclaredException([parameter.name])
         known = self.has_parameter(parameter.name)
-        return _real(parameter, self.get_parameter(parameter.name).value) if known else parameter
+        return _as_known(parameter, self.get_parameter(parameter.name).value) if known else parameter
 
     def stream(self, kind: type, topic: str, qos: QoSProfile = STREAM) -> Publisher:
         """Publisher of a topic, made at the first call, and shared by everything in the node that publishes there."""
@@ -370,17 +398,24 @@ def clients_of(node: Node, kind: type, services: Iterable[str]) -> tuple[list[Cl
 
 def _out_of_bounds(name: str, about: Sequence[Any]) -> str:
     """Say within which bounds a parameter must lie; empty if none of ``about`` is a descriptor with bounds."""
-    found = [bounds for one in about if isinstance(one, ParameterDescriptor) for bounds in one.floating_point_range]
+    descriptors = [one for one in about if isinstance(one, ParameterDescriptor)]
+    found = [bounds for one in descriptors for bounds in (*one.floating_point_range, *one.integer_range)]
     return "".join(
-        f"parameter {name}: out of bounds; give {bounds.from_value:g} to {bounds.to_value:g}" for bounds in found[:1]
+        f"parameter {name}: out of bounds; give {bounds.from_value:.10g} to {bounds.to_value:.10g}"
+        for bounds in found[:1]
     )
 
 
-def _real(given: Parameter, known: Any) -> Parameter:
-    """A parameter with real numbers instead of whole numbers, if the known value is real."""
-    if isinstance(known, float) and given.type_ == Parameter.Type.INTEGER:
+def _as_known(given: Parameter, known: Any) -> Parameter:
+    """A parameter of the type of a known value, if what was given can be meant so.
+
+    Whole numbers stand for real numbers, too. ROS does not know the type of an empty list: of texts, none stand in it.
+    """
+    kind = type(known[0]) if isinstance(known, (list, array)) and len(known) else type(known)
+    if given.type_ == Parameter.Type.INTEGER and kind is float:
         return Parameter(given.name, value=float(given.value))
-    is_list = isinstance(known, (list, array)) and len(known) > 0 and isinstance(known[0], float)
-    if is_list and given.type_ == Parameter.Type.INTEGER_ARRAY:
+    if given.type_ == Parameter.Type.INTEGER_ARRAY and kind is float:
         return Parameter(given.name, value=[float(v) for v in given.value])
+    if given.type_ == Parameter.Type.NOT_SET and kind is str and isinstance(known, list):
+        return Parameter(given.name, value=[""])
     return given
