@@ -2,9 +2,10 @@
 
 import math
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 
 #: Called with how much is done, and how much there is in all.
@@ -15,6 +16,8 @@ OnStage = Callable[[str, int, int], None]
 on_compiling: OnStage | None = None
 # Time [s] after which it is said that something is compiled, and after which it is said again.
 _LONG_S, _AGAIN_S = 1.0, 5.0
+# Time [s] between two lines where no bar can be shown, such as in a log.
+_LINES_EVERY_S = 60.0
 
 
 class CompilingTold:
@@ -36,7 +39,7 @@ class CompilingTold:
 
 @contextmanager
 def stages() -> Iterator[OnStage]:
-    """Show a bar for work in several stages, on a terminal or in a notebook; show nothing in a pipe."""
+    """Show a bar for work in several stages, on a terminal or in a notebook; elsewhere a line a minute."""
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -53,7 +56,8 @@ def stages() -> Iterator[OnStage]:
         yield _lines()
         return
     if not (console.is_terminal or console.is_jupyter):
-        yield lambda what, done, total: None
+        with _a_line_a_minute() as tell:
+            yield tell
         return
     columns = (
         TextColumn("{task.description}"),
@@ -71,16 +75,43 @@ def stages() -> Iterator[OnStage]:
                 # the time left is that of the stage
                 bar.reset(task, total=None)
                 current = what
-            bar.update(task, description=what, completed=done, total=total)
+            bar.update(task, description=what, completed=done, total=total or None)
 
         yield show
 
 
 @contextmanager
 def stage(what: str) -> Iterator[OnProgress]:
-    """Show a bar for work in a single stage."""
+    """Show a bar for work in a single stage, of which nothing more is known before it is first called."""
     with stages() as advance:
+        advance(what, 0, 0)
         yield lambda done, total: advance(what, done, total)
+
+
+@contextmanager
+def _a_line_a_minute() -> Iterator[OnStage]:
+    """Print a line on stderr once a minute, also while a stage lasts; nothing in the first minute."""
+    began, ended = time.monotonic(), threading.Event()
+    now = ("starting", 0, 0)
+
+    def note(what: str, done: int, total: int) -> None:
+        nonlocal now
+        now = what, done, total
+
+    def tell() -> None:
+        while not ended.wait(_LINES_EVERY_S):
+            what, done, total = now
+            share = f", {done} of {total}" if total > 1 else ""
+            with suppress(OSError, ValueError):  # nobody reads stderr, or it is closed
+                print(f"{what}{share}; {(time.monotonic() - began) / 60.0:.0f} min", file=sys.stderr, flush=True)
+
+    teller = threading.Thread(target=tell, daemon=True)
+    teller.start()
+    try:
+        yield note
+    finally:
+        ended.set()
+        teller.join()
 
 
 def _lines() -> OnStage:

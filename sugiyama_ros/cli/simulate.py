@@ -24,6 +24,7 @@ from sugiyama_ros.cli.output import print_cautions, print_json, print_line, prin
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.files import Output
 from sugiyama_ros.laws import PAPERS
+from sugiyama_ros.progress import stage
 
 if TYPE_CHECKING:
     from sugiyama_ros.arrays import Array
@@ -122,7 +123,9 @@ def simulate(options: _SimulateOptions) -> None:
     )
     experiment.check(vehicles)
     drive = _at_scene if options.scene is not None else _on_one_lane if options.lanes is None else _on_lanes
-    document, lines = drive(options, experiment, _rows(options, file, vehicles), output)
+    rows = _rows(options, file, vehicles)
+    with stage("simulating"):
+        document, lines = drive(options, experiment, rows, output)
     if options.as_json:
         print_json({"output": str(options.output), "vehicles": vehicles, **document, "seed": options.seed})
         return

@@ -11,6 +11,7 @@ import typer
 from sugiyama_ros.cli.options import Json, Overwrite, Ring, Seed, takes, to_write
 from sugiyama_ros.cli.output import print_json, print_line, print_table
 from sugiyama_ros.files import Output, writing
+from sugiyama_ros.progress import stage
 from sugiyama_ros.results import TextTable, needs
 
 # Characters of a line of a caption.
@@ -62,7 +63,7 @@ def study(options: _StudyOptions) -> None:
     if options.source is not None:
         tracks = read_tracks(options.source, Choices(ring_m=options.ring))
         trajectories = one_road(tracks, str(options.source))
-    with workers(options.runs) as work:
+    with stage(f"study {options.name}"), workers(options.runs) as work:
         answer = asked.answer(Asked(trajectories, options.runs, options.seed, work))
         if picture is not None:
             _draw(answer.draw, picture, f"{asked.question} The paper: {asked.paper} (seed {options.seed})")

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import struct
 import subprocess
 import sys
@@ -277,6 +278,34 @@ def test_progress_is_for_terminals_only(here):
     assert (told.returncode, told.stderr) == (0, "")
     assert "\x1b" not in told.stdout
     assert Path("out.mcap").exists()
+
+
+WAITED = """
+import sys
+from sugiyama_ros import cli, progress
+progress._LINES_EVERY_S = 0.05
+sys.argv[0] = "sugiyama"
+cli.main()
+"""
+
+
+@pytest.mark.parametrize(
+    ("said", "arguments"),
+    [
+        (r"simulating; 0 min", ["simulate", "-o", "a.csv", "--json"]),
+        (r"calibrating(, \d of 4)?; 0 min", ["calibrate", "ring.csv", "--ring", "45", "--json"]),
+        (r"fitting the base model, 0 of \d+; 0 min", ["compare", "ring.csv", "--ring", "45", "--json"]),
+        (r"round 1: scoring; 0 min", ["diagnose", "ring.csv", "--ring", "45", "--simulations", "1", "--json"]),
+        (r"study beta-nash; 0 min", ["study", "beta-nash", "--runs", "1", "--json"]),
+    ],
+    ids=["simulate", "calibrate", "compare", "diagnose", "study"],
+)
+def test_who_waits_for_long_work_in_a_pipe_is_told_and_the_document_stays_whole(sugiyama, here, said, arguments):
+    assert sugiyama("simulate", "--vehicles", 4, "--ring", 45, "--duration", 40, "-o", "ring.csv")[0] == 0
+    done = subprocess.run([sys.executable, "-c", WAITED, *arguments], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert isinstance(json.loads(done.stdout), dict)
+    assert any(re.fullmatch(said, line) for line in done.stderr.splitlines()), done.stderr
 
 
 def test_where_nothing_can_be_written_the_cure_is_said(here) -> None:
