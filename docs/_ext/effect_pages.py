@@ -13,8 +13,9 @@ from sphinx.config import Config
 import sugiyama_ros as sg
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import defaults
-from sugiyama_ros.effects.effect import MEASUREMENT, Effect, Extent
+from sugiyama_ros.effects.effect import MEASUREMENT, Effect, Extent, Seen
 from sugiyama_ros.effects.registry import MECHANISM, ROW
+from sugiyama_ros.effects.shared import bump
 from sugiyama_ros.simulation.experiment import Experiment, carry_out, changed
 
 FOLDER = GENERATED / "effects"
@@ -76,6 +77,28 @@ def picture(effect: Effect, path: Path) -> bool:
     return True
 
 
+#: What stands below an equation with a bump.
+BUMP = """`bump(x, width)` is a raised cosine: 1/2 + 1/2 cos(2π x / width) where |x| < width / 2, and 0 elsewhere. So
+the effect is strongest in the middle of its part of the road, half as strong a quarter of the width away, and nothing
+beyond half the width. It begins and ends smoothly, without a step that no driver could follow.
+
+![A bump over the place, from half a width before its middle to half a width behind it](bump.png)
+"""
+
+
+def draw_bump(path: Path) -> None:
+    """Draw a bump, as the effects compute it, over the distance from its middle as a share of its width."""
+    place = np.linspace(-0.75, 0.75, 301)
+    nothing = Seen(**dict.fromkeys(Seen._fields, 0.0))
+    figure = Figure(figsize=(5.0, 1.8), layout="constrained")
+    axes = figure.subplots()
+    axes.plot(place, [bump(nothing._replace(position=x), 0.0, 1.0) for x in place.tolist()], color=_WITH)
+    axes.set_xticks([-0.5, -0.25, 0.0, 0.25, 0.5], ["-width/2", "-width/4", "centre", "width/4", "width/2"])
+    axes.set(yticks=[0.0, 0.5, 1.0], ylabel="bump")
+    axes.grid(alpha=0.3)
+    figure.savefig(path, dpi=100)
+
+
 def section(effect: Effect, level: str) -> str:
     """What an effect does, its equation, parameters and picture."""
     values = shown_values(effect)
@@ -83,6 +106,8 @@ def section(effect: Effect, level: str) -> str:
     parts = [f"{level} {plain(effect.title or effect.name)}\n", f"`{effect.name}`: {plain(effect.summary)}.\n"]
     if effect.term:
         parts.append(f"```text\n{effect.term}\n```\n")
+    if "bump(" in effect.term:
+        parts.append(BUMP)
     parts.append(declared(effect.parameters))
     parts.append(f"Acts on: {effect.stage}. Source: {plain(effect.source)}.\n")
     if values and picture(effect, FOLDER / f"{effect.name}.png"):
@@ -113,6 +138,7 @@ def page(mechanism: str, forms: list[Effect]) -> str:
 def pages(app: Sphinx, config: Config) -> None:
     """Write the pages of all effects, and a list of them."""
     FOLDER.mkdir(parents=True, exist_ok=True)
+    draw_bump(FOLDER / "bump.png")
     rows = []
     for mechanism, forms in groupby(sg.effects.values(), lambda one: MECHANISM[one.name]):
         found = list(forms)

@@ -21,6 +21,7 @@ from sugiyama_ros.effects import perception_threshold
 from sugiyama_ros.effects.control import add_components
 from sugiyama_ros.effects.effect import STAGES, UTILITY, Extent, Seen, takes_preferences
 from sugiyama_ros.effects.registry import EFFECTS, ROW, active, effect, index_of, switch_on
+from sugiyama_ros.effects.shared import bump
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.causal import filter_chain
 from sugiyama_ros.filters.extract import chain_behind
@@ -342,3 +343,14 @@ def test_bad_values_are_refused_in_one_line():
     assert row[ROW.law] == 0.0
     assert ROW.with_effects(defaults())[:COUNT] == pytest.approx(defaults())
     assert ROW.places["drag"].stop - ROW.places["drag"].start == 2
+
+
+def test_a_bump_is_the_raised_cosine_that_the_pages_show_and_goes_the_short_way_round_a_ring():
+    nowhere = Seen(**dict.fromkeys(Seen._fields, 0.0))
+    place = np.linspace(80.0, 120.0, 201)
+    found = [bump(nowhere._replace(position=x), 100.0, 30.0) for x in place.tolist()]
+    off = place - 100.0
+    expected = np.where(abs(off) < 15.0, 0.5 + 0.5 * np.cos(2.0 * np.pi * off / 30.0), 0.0)
+    np.testing.assert_allclose(found, expected, atol=1e-15)
+    ring = nowhere._replace(position=5.0, circumference=100.0)
+    assert bump(ring, 100.0, 30.0) == pytest.approx(bump(nowhere._replace(position=105.0), 100.0, 30.0), abs=1e-15)
