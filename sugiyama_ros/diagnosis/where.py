@@ -20,8 +20,10 @@ from sugiyama_ros.statistics import failing
 
 # Number of bins of a covariate, and smallest number of samples in a bin.
 _BINS, _FEWEST = 10, 30
-# A driver accelerates or brakes beyond this acceleration [m/s^2], and stands below this speed [m/s].
-_CHANGING, _STANDING = 0.3, 0.5
+#: A driver stands below this speed [m/s].
+STANDING = 0.5
+# A driver accelerates or brakes beyond this acceleration [m/s^2].
+_CHANGING = 0.3
 _COVARIATES = ("gap", "speed", "approach_rate", "rear_gap", "place", "time")
 _REGIMES = ("standing", "braking", "accelerating", "following")
 
@@ -97,7 +99,7 @@ def _regime(model: Model, states: Array) -> Array:
     """Number of the regime in _REGIMES plus a half, (T, N); NaN where unknown."""
     acceleration = states[:, :, 3] + model.rows[:, RHO] * states[:, :, 2]
     regime = np.select(
-        [states[:, :, 1] < _STANDING, acceleration < -_CHANGING, acceleration > _CHANGING], [0.5, 1.5, 2.5], 3.5
+        [states[:, :, 1] < STANDING, acceleration < -_CHANGING, acceleration > _CHANGING], [0.5, 1.5, 2.5], 3.5
     )
     return np.where(np.isfinite(acceleration), regime, np.nan)
 
