@@ -16,7 +16,7 @@ from sugiyama_ros.formats.choices import Choices, agreed_ring
 from sugiyama_ros.formats.format import Format
 from sugiyama_ros.formats.mcap_records import MAGIC
 from sugiyama_ros.formats.reading import checksum_of, shown_name
-from sugiyama_ros.trajectories.about import About
+from sugiyama_ros.trajectories.about import About, source_in
 from sugiyama_ros.trajectories.assemble import Column, assemble
 from sugiyama_ros.trajectories.dense import MAX_SAMPLES, DenseTracks
 from sugiyama_ros.trajectories.labels import Labels, labels, numbered
@@ -157,7 +157,7 @@ def _collected(bag: "Bag", topics: dict[str, str], choices: Choices) -> Tracks:
         view="whole",
         ring_m=agreed_ring(path, road.circumference_m, choices),
         period_s=road.period_s,
-        source=road.source or shown_name(path),
+        source=source_in(shown_name(path), road.source) or shown_name(path),
         sha256=road.sha256 or checksum_of(bag.files[0]),
     )
     return columns.tracks(about)

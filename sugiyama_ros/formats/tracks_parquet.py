@@ -9,8 +9,9 @@ from sugiyama_ros.files import Target, output_of, writing
 from sugiyama_ros.formats.choices import COLUMNS, Choices
 from sugiyama_ros.formats.columns import is_number
 from sugiyama_ros.formats.format import Format
+from sugiyama_ros.formats.reading import shown_name
 from sugiyama_ros.formats.sheet import head_of, read_sheet, sheet_of
-from sugiyama_ros.trajectories.about import About
+from sugiyama_ros.trajectories.about import About, source_in
 from sugiyama_ros.trajectories.exchange import about_of, of_columns, to_arrow, write_parquet
 from sugiyama_ros.trajectories.tracks import INFINITE, Tracks
 
@@ -31,7 +32,7 @@ def _read_tracks_parquet(path: Path, choices: Choices) -> Tracks:
     # Errors name the file that is read; the tracks keep the name of their source.
     columns = read_sheet(sheet, numbers, names - numbers, infinite=INFINITE)
     tracks = of_columns(dict(columns), replace(about, source=str(path)))
-    return replace(tracks, about=replace(tracks.about, source=about.source))
+    return replace(tracks, about=replace(tracks.about, source=source_in(shown_name(path), about.source)))
 
 
 def write_tracks(tracks: Tracks, target: Target) -> None:

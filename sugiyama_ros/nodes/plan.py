@@ -17,6 +17,7 @@ from sugiyama_ros.nodes.base.parameters import ENGINES, engine_of
 from sugiyama_ros.nodes.keeper import file_of, read_learnt
 from sugiyama_ros.nodes.replay import RecordedPositions, TrackSamples, samples_of
 from sugiyama_ros.simulation.experiment import Experiment
+from sugiyama_ros.trajectories.about import SIMULATED
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class FromSimulator:
     changes: Mapping[str, float] = field(default_factory=dict)
     effects: tuple[str, ...] = ()
 
-    source = "adaptiveSeek"
+    source = SIMULATED
     sha256 = ""
     controlled: ClassVar[Sequence[int]] = ()
 

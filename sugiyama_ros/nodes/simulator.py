@@ -25,6 +25,7 @@ from sugiyama_ros.simulation.junction import JunctionSimulator
 from sugiyama_ros.simulation.result import parameters_of
 from sugiyama_ros.simulation.scenes import SCENES, scene_simulator
 from sugiyama_ros.simulation.simulator import Simulator
+from sugiyama_ros.trajectories.about import SIMULATED
 from sugiyama_ros.trajectories.placing import Positions
 from sugiyama_ros.trajectories.tracks import LINE
 from sugiyama_ros.trajectories.truth import TrueDriver
@@ -37,7 +38,7 @@ class _SimulatedPositions:
     """A running simulation as samples. It only goes forward. ``steps`` is 0 if it has no end."""
 
     start_s = 0.0
-    source = "adaptiveSeek"
+    source = SIMULATED
     sha256 = ""
 
     def __init__(self, simulator: Simulator, steps: int) -> None:
@@ -66,7 +67,7 @@ class _SimulatedJunction:
     """
 
     start_s = 0.0
-    source = "adaptiveSeek"
+    source = SIMULATED
     sha256 = ""
 
     def __init__(self, simulator: JunctionSimulator, steps: int) -> None:

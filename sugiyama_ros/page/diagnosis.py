@@ -10,6 +10,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.files import number, read_json
+from sugiyama_ros.trajectories.about import file_in
 from sugiyama_ros.trajectories.dense import DenseTracks
 
 _KINDS = {str: "a text", bool: "true or false", dict: "a mapping", list: "a list"}
@@ -72,7 +73,7 @@ def check_same(document: Mapping[str, Any], name: Path | str, trajectories: Dens
 def file_of(document: Mapping[str, Any], source: str) -> str:
     """The file that was diagnosed, as it was given; ``source`` if the document does not say, or there were several."""
     known = document.get("sources")
-    return str(known[0]) if isinstance(known, list) and len(known) == 1 else source
+    return str(known[0]) if isinstance(known, list) and len(known) == 1 else file_in(source)
 
 
 def run_command(document: Mapping[str, Any] | None, source: str, ring_m: float | None, output: Path) -> str:

@@ -14,6 +14,7 @@ from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.laws.registry import LAWS
 from sugiyama_ros.results import Result, space_time
+from sugiyama_ros.trajectories.about import SIMULATED
 from sugiyama_ros.trajectories.dense import DenseTracks
 from sugiyama_ros.trajectories.tracks import LINE, Tracks
 
@@ -33,14 +34,12 @@ _KINDS = {
     "sugiyama_msgs/msg/DriverType": "type",
     "sugiyama_msgs/msg/TrueParameters": "truth",
 }
-# Source of what the package simulates.
-_SIMULATED = "adaptiveSeek"
 _UTILITY = {NAMES[k] for k in UTILITY}
 
 
 def name_of(source: str) -> str:
     """Name of a source: the file, or that drivers were simulated."""
-    return "Simulated drivers" if source == _SIMULATED else source
+    return "Simulated drivers" if SIMULATED in source else source
 
 
 class StyleChanged(NamedTuple):
@@ -128,7 +127,7 @@ class Recording(Result):
     @property
     def is_simulated(self) -> bool:
         """Whether drivers of the package's simulator were recorded."""
-        return bool(self.truth) or self.trajectories.source == _SIMULATED
+        return bool(self.truth) or SIMULATED in self.trajectories.source
 
     @property
     def name(self) -> str:

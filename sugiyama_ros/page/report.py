@@ -60,6 +60,7 @@ from sugiyama_ros.page.words import (
     worse_in_words,
     would_have_shown,
 )
+from sugiyama_ros.trajectories.about import SIMULATED
 
 _FREE_RUNS = (
     "Colours are speeds, the same in all pictures. The model starts anew from the measured state at each dotted line,"
@@ -506,9 +507,11 @@ def _to_diagnose(r: Recording) -> str:
 def _commands(r: Recording, d: Document | None) -> list[str]:
     """The commands that made the page, with the names of the files as far as they are known."""
     t, bag = r.trajectories, r.path or Path("run.mcap")
-    given = file_of(d, t.source) if d is not None else t.source
+    # what was simulated for a demonstration is in no file that is left
+    named = "" if SIMULATED in t.source else t.source
+    given = file_of(d, named) if d is not None else named
     of_bag = Path(given).name == bag.name
-    source = t.source if of_bag else given
+    source = named if of_bag else given
     report, run, found = ["sugiyama", "report", str(bag)], [], []
     if "." in source and source != bag.name:
         command = run_command(None if of_bag else d, source, t.road.circumference_m, bag)

@@ -24,7 +24,7 @@ from sugiyama_ros.roads.scene import Moment, OnNetwork, lines_of_routes, see_sce
 from sugiyama_ros.simulation.drive import Order, Setting, Traffic, Wandering, begin, drive, measure, move, remember
 from sugiyama_ros.simulation.result import Collision
 from sugiyama_ros.simulation.simulator import Clock
-from sugiyama_ros.trajectories.about import About
+from sugiyama_ros.trajectories.about import SIMULATED, About
 from sugiyama_ros.trajectories.tracks import Tracks
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ class JunctionRun(Result):
     @cached_property
     def measured(self) -> Tracks:
         """What a camera would have measured, with what the drivers see."""
-        return tracks_on(self.network, self.paths, self.rows, About(source="adaptiveSeek", view="end"))
+        return tracks_on(self.network, self.paths, self.rows, About(source=SIMULATED, view="end"))
 
     def headline(self) -> str:
         """Say how many came through."""

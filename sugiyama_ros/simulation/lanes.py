@@ -10,7 +10,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.experiment import Experiment, spread_out
 from sugiyama_ros.simulation.simulator import REFERENCE_CLOCK, Clock, Simulator, platoon, simulate
-from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M, About
+from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M, SIMULATED, About
 from sugiyama_ros.trajectories.exchange import of_columns
 from sugiyama_ros.trajectories.labels import labels_of
 from sugiyama_ros.trajectories.tracks import Tracks
@@ -67,7 +67,7 @@ def simulate_lanes(
     if not len(numbers["s_m"]):
         raise InputError(f"simulation: nobody comes between {view_m[0]:g} and {view_m[1]:g} m; see more of the road")
     texts = {name: labels_of([t for part in parts for t in part[name]]) for name in ("vehicle", "lane", "class")}
-    about = About(source="adaptiveSeek", view="whole" if view_m[1] == np.inf else "end")
+    about = About(source=SIMULATED, view="whole" if view_m[1] == np.inf else "end")
     return of_columns({**texts, **numbers}, about)
 
 

@@ -52,7 +52,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.jit import kernel
 from sugiyama_ros.results import Result
 from sugiyama_ros.simulation.result import Collision
-from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M, About
+from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M, SIMULATED, About
 from sugiyama_ros.trajectories.exchange import of_columns
 from sugiyama_ros.trajectories.labels import labels_of
 from sugiyama_ros.trajectories.tracks import Tracks
@@ -310,7 +310,7 @@ def _tracks(seen: list[_State], start: OnRoad, rng: np.random.Generator) -> Trac
         "d_m": (np.array([_across(state) for state in seen]) + noise[1]).ravel(),
         "length_m": np.tile(start.length_m, steps),
     }
-    return of_columns(columns, About(source="adaptiveSeek", view="whole"))
+    return of_columns(columns, About(source=SIMULATED, view="whole"))
 
 
 def place_at_random(

@@ -27,6 +27,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.drive import Order, Setting, Traffic, Wandering, begin, drive, measure, move, remember, see
 from sugiyama_ros.simulation.result import Collision, Simulation
+from sugiyama_ros.trajectories.about import SIMULATED
 from sugiyama_ros.trajectories.dense import DenseTracks
 
 
@@ -244,7 +245,7 @@ def simulate(simulator: Simulator, duration_s: float, *, stop_at_collision: bool
             road=simulator.road,
             period_s=simulator.period_s,
             start_s=simulator.start_s,
-            source="adaptiveSeek",
+            source=SIMULATED,
             controlled=simulator.controlled,
         ),
         parameters=simulator.drivers,

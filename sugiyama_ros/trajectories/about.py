@@ -5,9 +5,21 @@ from typing import Literal
 
 #: Length [m] of a vehicle if the file does not give the length: the mean of the paper's Table 1.
 DEFAULT_LENGTH_M = 4.33
+#: Source of what the package simulates, until it is read from a file.
+SIMULATED = "simulated drivers"
 View = Literal["end", "whole"]
 Reference = Literal["centre", "front", "rear"]
 Leaders = Literal["found", "given"]
+
+
+def source_in(file: str, source: str) -> str:
+    """Source of a recording in a file that names its source; what was simulated comes from this file."""
+    return f"{file} ({SIMULATED})" if source == SIMULATED else source
+
+
+def file_in(source: str) -> str:
+    """File that a source names."""
+    return source.removesuffix(f" ({SIMULATED})")
 
 
 @dataclass(frozen=True)

@@ -280,6 +280,18 @@ def test_progress_is_for_terminals_only(here):
     assert Path("out.mcap").exists()
 
 
+@pytest.mark.parametrize("made", ["short.mcap", "short.csv", "short.parquet"])
+def test_who_simulates_and_is_refused_reads_the_name_of_the_file(sugiyama, here, made):
+    arguments = ["--lanes", 1] if made.endswith(".parquet") else ["--ring", 45]
+    assert sugiyama("simulate", "--vehicles", 4, *arguments, "--duration", 2, "-o", made)[0] == 0
+    ring = ["--ring", 45] if made.endswith(".csv") else []
+    for command in ("diagnose", "compare"):
+        one_line(sugiyama(command, made, *ring), f"error: {made}", "; give at least 8 s")
+    # and a replay of the file
+    assert sugiyama("run", made, *ring, "-o", "run.mcap")[0] == 0
+    one_line(sugiyama("diagnose", "run.mcap"), f"error: {made}", "; give at least 8 s")
+
+
 WAITED = """
 import sys
 from sugiyama_ros import cli, progress
