@@ -87,6 +87,7 @@ def addition(name: str = "slow_patch", kind: str = "effect", **changed: Any) -> 
         "covariate": None,
         "vehicles": [],
         "is_supported": True,
+        "doubts": [],
         "p_value": 1e-5,
         "heldout_gain_nats": won["all"]["nats"],
         "heldout_gain_se": won["all"]["se"],
@@ -96,6 +97,21 @@ def addition(name: str = "slow_patch", kind: str = "effect", **changed: Any) -> 
         "closest_effect": None,
         "free_run_rmse_before_m": 3.0,
         "free_run_rmse_after_m": 1.5,
+        **changed,
+    }
+
+
+def dropped(name: str = "road_grade", **changed: Any) -> dict[str, Any]:
+    """Something that the second step has added and the third one has taken out again."""
+    return {
+        "name": name,
+        "form": name,
+        "kind": "effect",
+        "covariate": None,
+        "step": 1,
+        "dropped_in": 2,
+        "free_run_rmse_before_m": 1.5,
+        "free_run_rmse_after_m": 1.2,
         **changed,
     }
 
@@ -150,6 +166,7 @@ def document(
         "verdict": {
             "outcome": outcome,
             "effects": list(effects),
+            "dropped": [],
             "asked": [],
             "searched": ["slow_patch", "drag"],
             "not_searched": [],

@@ -21,7 +21,7 @@ from sugiyama_ros.diagnosis.where import Bin
 from sugiyama_ros.driver.bicycle import CAR
 from sugiyama_ros.driver.parameters import PARAMETERS, Parameter
 from sugiyama_ros.formats.registry import formats
-from sugiyama_ros.page.document import Addition, Tried
+from sugiyama_ros.page.document import Addition, Dropped, Tried
 from sugiyama_ros.studies.registry import STUDIES
 
 DOCS = Path(__file__).parents[1]
@@ -209,7 +209,7 @@ def python() -> str:
         "",
         ".. autofunction:: sugiyama_ros.page.document.document",
         "",
-        *(f".. autoclass:: {one.__module__}.{one.__qualname__}\n" for one in (Addition, Tried, Check, Bin)),
+        *(f".. autoclass:: {one.__module__}.{one.__qualname__}\n" for one in (Addition, Dropped, Tried, Check, Bin)),
         ".. autofunction:: sugiyama_ros.diagnosis.table.errors",
         "",
     ]

@@ -20,10 +20,10 @@ _ERROR = re.compile(r"one_step_rmse_m|loglik_per_sample|(free_run|single_car)_\d
 def _fields() -> dict[str, Any]:
     """Types of the fields that the report shows. A mapping has these names, at least."""
     from sugiyama_ros.diagnosis.check import Check
-    from sugiyama_ros.page.document import Addition, Tried
+    from sugiyama_ros.page.document import Addition, Dropped, Tried
 
     return {
-        "verdict": {"outcome": str, "effects": list[Addition]},
+        "verdict": {"outcome": str, "effects": list[Addition], "dropped": list[Dropped]},
         "candidates": list[Tried],
         "checks": list[Check],
         "smallest_detectable": list[dict[str, Any]],

@@ -5,7 +5,7 @@ checks files against them.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -15,7 +15,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import Candidate, not_searched
 from sugiyama_ros.diagnosis.compare import Compared, Comparison
 from sugiyama_ros.diagnosis.diagnose import Diagnosis, Round
-from sugiyama_ros.diagnosis.table import Difference, Entry, errors, gains
+from sugiyama_ros.diagnosis.table import ALPHA, Difference, Entry, errors, gains, is_better
 from sugiyama_ros.diagnosis.where import Located
 from sugiyama_ros.driver.parameters import CONSTANTS, KAPPA_V, V_STAR, Parameter
 from sugiyama_ros.effects.discovered_force import COVARIATES
@@ -47,6 +47,9 @@ class Addition:
         Numbers of the vehicles that show it; empty for all.
     is_supported : bool
         Whether the data ask for it. What somebody asks for is added even if they do not.
+    doubts : list of {"score", "gain", "worse"}
+        Why the data do not ask for it: its score does not stand out from what chance gives; unseen data are not
+        forecast clearly better; some of their forecasts get worse.
     p_value : float
         Probability that chance gains as much in any candidate.
     heldout_gain_nats, heldout_gain_se : float
@@ -74,6 +77,7 @@ class Addition:
     covariate: str | None
     vehicles: list[int]
     is_supported: bool
+    doubts: list[str]
     p_value: float
     heldout_gain_nats: float
     heldout_gain_se: float
@@ -81,6 +85,30 @@ class Addition:
     indistinguishable: list[str]
     advice: list[str]
     closest_effect: dict[str, Any] | None
+    free_run_rmse_before_m: float
+    free_run_rmse_after_m: float
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """Something that a step added and a later step took out again, because it was not needed any more beside the rest.
+
+    Parameters
+    ----------
+    name, form, kind, covariate
+        As of an addition.
+    step, dropped_in : int
+        Number of the step that added it, and of the step that took it out.
+    free_run_rmse_before_m, free_run_rmse_after_m : float
+        As of an addition.
+    """
+
+    name: str
+    form: str
+    kind: str
+    covariate: str | None
+    step: int
+    dropped_in: int
     free_run_rmse_before_m: float
     free_run_rmse_after_m: float
 
@@ -121,9 +149,9 @@ def document(d: Diagnosis) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``verdict`` with ``outcome``, ``effects`` (each an `Addition`), ``asked``, ``searched``, ``not_searched`` and
-        ``fall``: how much of the error after 10 s [m] physical effects and faults of the measurement take away
-        (``physics_m``), and how much all else (``other_m``).
+        ``verdict`` with ``outcome``, ``effects`` (each an `Addition`), ``dropped`` (each a `Dropped`), ``asked``,
+        ``searched``, ``not_searched`` and ``fall``: how much of the error after 10 s [m] physical effects and faults
+        of the measurement take away (``physics_m``), and how much all else (``other_m``).
         ``candidates``: a list of `Tried`. ``checks``: a list of `Check`. ``errors``: those of `errors` for ``before``,
         ``after``, ``floor`` (the final model on recordings that it simulates) and each law, with ``gains`` over
         ``before``. ``where``: bins and maps of the bias, before and after. ``smallest_detectable``: strengths from
@@ -135,6 +163,7 @@ def document(d: Diagnosis) -> dict[str, Any]:
         "verdict": {
             "outcome": d.outcome,
             "effects": [asdict(one) for one in additions(d)],
+            "dropped": [asdict(one) for one in dropped_again(d)],
             "asked": list(d.asked),
             "searched": sorted({one.candidate.mechanism for one in d.rounds[0].scores}),
             "not_searched": [{"name": name, "reason": why} for name, why in not_searched(d.data).items()],
@@ -168,7 +197,7 @@ def additions(d: Diagnosis) -> list[Addition]:
     """What the final model has beyond the base model, in the order in which it was added."""
     found = []
     for step, one in enumerate(d.steps):
-        before, after = (_after_10_s(errors(e.forecasts)) for e in (one.current, one.after))
+        before, after = _ends(one)
         names = {c.mechanism for c in one.new}
         alike = [name for name in dict.fromkeys(e.added[-1].mechanism for e in one.alike) if name not in names]
         for c in (c for c in one.new if c in d.final.added):
@@ -187,6 +216,7 @@ def additions(d: Diagnosis) -> list[Addition]:
                     covariate=_covariate(c),
                     vehicles=[d.data.vicinity.numbers[i] for i in c.drivers],
                     is_supported=one.is_supported,
+                    doubts=[] if one.is_supported else _doubts(one),
                     p_value=one.chance.p_values.get(c.mechanism, 1.0),
                     heldout_gain_nats=won.nats,
                     heldout_gain_se=won.se,
@@ -199,6 +229,30 @@ def additions(d: Diagnosis) -> list[Addition]:
                 )
             )
     return found
+
+
+def _ends(one: Round) -> tuple[float, float]:
+    """Error after 10 s before and after a step [m]."""
+    return _after_10_s(errors(one.current.forecasts)), _after_10_s(errors(one.after.forecasts))
+
+
+def _doubts(one: Round) -> list[str]:
+    """Why the data do not ask for what a round added."""
+    doubts = {
+        "score": any(one.chance.p_values.get(c.mechanism, 1.0) >= ALPHA for c in one.new),
+        "gain": not one.gain["all"].is_clear,
+        "worse": one.gain["all"].is_clear and not is_better(one.gain),
+    }
+    return [name for name, holds in doubts.items() if holds]
+
+
+def dropped_again(d: Diagnosis) -> Iterator[Dropped]:
+    """What was added and taken out again, in the order in which it was added."""
+    for step, one in enumerate(d.steps):
+        for c in one.new:
+            without = (k for k, later in enumerate(d.steps) if k > step and c not in later.after.added)
+            if (dropped_in := next(without, None)) is not None:
+                yield Dropped(c.mechanism, c.effect, c.kind, _covariate(c), step, dropped_in, *_ends(one))
 
 
 def _covariate(c: Candidate) -> str | None:
@@ -231,7 +285,8 @@ def _fall(d: Diagnosis) -> dict[str, float]:
     found = {"physics_m": 0.0, "other_m": 0.0}
     for one in d.steps:
         name = "physics_m" if any(c.explains for c in one.new) else "other_m"
-        found[name] += _after_10_s(errors(one.current.forecasts)) - _after_10_s(errors(one.after.forecasts))
+        before, after = _ends(one)
+        found[name] += before - after
     return found
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.laws.registry import LAWS
-from sugiyama_ros.results import figure
+from sugiyama_ros.results import CLEARLY, figure
 
 Document = Mapping[str, Any]
 #: Errors [m] below this are told in millimetres.
@@ -15,7 +15,9 @@ SMALL_M = 0.01
 # Lengths [m] and speeds [m/s] below this are told in millimetres.
 _SMALL = 1e-3
 #: A difference is clear from this number of standard errors on.
-CLEAR = 2.0
+CLEAR = CLEARLY
+# Effects that the name of a model in a table has, of more it says the number.
+_FEW = 3
 # A loss [nats] that rounds to nothing is not told.
 _LEAST = -0.5
 # Symbols in the meanings of parameters.
@@ -77,8 +79,18 @@ def addition(d: Document, n: Document) -> str:
     return named(d, f"{FORCE}:{n['covariate']}" if n.get("covariate") else form_of(n))
 
 
+def short_name(name: str) -> str:
+    """Name of a model for the first column of a table: a few identifiers of what it has beyond the base model."""
+    with_effects = re.fullmatch(r"(base \+|file:) (.+)", name)
+    if not with_effects:
+        return model_name(name)
+    effects = re.split(r", | \+ ", with_effects[2])
+    more = f" and {len(effects) - _FEW} more" if len(effects) > _FEW else ""
+    return f"{with_effects[1].removeprefix('base ')} {', '.join(effects[:_FEW])}{more}"
+
+
 def model_name(name: str) -> str:
-    """Name of a model in tables and legends."""
+    """Name of a model in sentences and legends."""
     known = dict(zip(MODELS, ("base model", "with what was added", "floor (simulated)"), strict=True))
     if name in known:
         return known[name]

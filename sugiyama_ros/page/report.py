@@ -15,6 +15,7 @@ from bokeh.models import UIElement
 from bokeh.resources import Resources
 
 from sugiyama_ros.files import Target, writing
+from sugiyama_ros.page.checks import check_title, check_values, checks_hold, failed, reasons
 from sugiyama_ros.page.diagnosis import file_of, run_command
 from sugiyama_ros.page.names import (
     MODELS,
@@ -42,17 +43,12 @@ from sugiyama_ros.page.words import (
     beside_the_verdict,
     biased,
     capital,
-    check_title,
-    check_values,
-    checks_hold,
     equation,
-    failed,
     gain_in_words,
     headline,
     how_sure,
     not_told_apart,
     on_unseen,
-    reasons,
     sentences,
     size_of,
     what_to_do,

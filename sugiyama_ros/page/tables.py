@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sugiyama_ros.page.names import MODELS, Document, model_name, models, nats
+from sugiyama_ros.page.names import MODELS, Document, model_name, models, nats, short_name
 from sugiyama_ros.results import TextTable
 
 # Rows that a comparison shows first.
@@ -39,7 +39,7 @@ def compared(c: Document, *, show_all: bool = False) -> TextTable:
     best = [one["name"] for one in ranked(c) if one["name"] not in asked]
     kept = {*asked, *best[: max(1, _ROWS - len(asked))]}
     rows = sorted(c["models"], key=lambda one: math.inf if one["kind"] == "simulated" else -one["heldout_gain_nats"])
-    shown = {model_name(one["name"]): one for one in rows if show_all or one["name"] in kept}
+    shown = {short_name(one["name"]): one for one in rows if show_all or one["name"] in kept}
     own = " (in sample: of the model that was fitted to them)" if any(o["kind"] == "in_sample" for o in rows) else ""
     return forecasts(f"Forecasts of unseen data{own}; gains over the base model in nats", shown)
 
@@ -96,7 +96,7 @@ def collective(c: Document) -> TextTable | None:
     errors = {"wave_speed": c["wave_speed_se"]}
     rows = [("measured", [(c["measured"][name], errors.get(name)) for name in _COLLECTIVE.values()])]
     rows += [
-        (model_name(one["name"]), [(one["collective"][name]["mean"], one["collective"][name]["std"])
+        (short_name(one["name"]), [(one["collective"][name]["mean"], one["collective"][name]["std"])
                                    for name in _COLLECTIVE.values()])
         for one in c["models"]
         if one["collective"]

@@ -1,10 +1,17 @@
 """All words of a diagnosis, a comparison and a critic, out of numbers: what is missing, how sure, what to do."""
 
-import re
 from collections.abc import Collection, Sequence
 from functools import partial
 
 from sugiyama_ros.laws.registry import PAPERS
+from sugiyama_ros.page.checks import (
+    check_in_words,
+    check_title,
+    checks_hold,
+    failed,
+    reasons,
+    standstill,
+)
 from sugiyama_ros.page.names import (
     CLEAR,
     MODELS,
@@ -26,7 +33,6 @@ from sugiyama_ros.page.names import (
     quantity,
     spaced,
     title_of,
-    titled,
     worse_columns,
 )
 from sugiyama_ros.page.tables import ranked
@@ -37,18 +43,6 @@ _WORSE = 1.2
 # Additions that the headline names, of more it says the number; bins or columns, and strengths, that a sentence lists.
 _FEW, _WORST, _SHOWN = 3, 3, 5
 _BASE = "a = abar(gap, v, v_lead; v*, kappa_v)"
-# What checks compare, by name; further names are a prefix and what it is about.
-_CHECKS = {
-    "spread_of_innovations": "spread of one-step errors",
-    "correlation_of_innovations": "correlation of one-step errors",
-    "mean_speed": "mean speed",
-    "least_speed": "smallest speed",
-    "largest_speed": "largest speed",
-    "wave_speed": "speed of the waves",
-    "queue_vehicles": "vehicles in a queue",
-    "period_s": "time between two waves",
-}
-_RUNS = {"single": "one car", "road": "all cars"}
 
 
 # What was added
@@ -105,17 +99,28 @@ def worse_in_words(n: Document) -> str:
 
 def _certainty(n: Document) -> str:
     """How certain an addition is: its gain on data that no fit has seen, and its p-value."""
-    verb = "confirm" if n["is_supported"] else "do not confirm"
-    p = chance(n.get("p_value"))
-    return not_found(n) or f"unseen data {verb} it: {on_unseen(n)}" + (f"; chance gains as much with {p}" if p else "")
+    if n["is_supported"]:
+        return f"unseen data confirm it: {on_unseen(n)}; chance gains as much with {chance(n['p_value'])}"
+    return not_found(n) or f"{not_asked_for(n)}; on unseen data {on_unseen(n)}"
+
+
+def not_asked_for(n: Document) -> str:
+    """Says that the data do not ask for an addition, and why."""
+    gains = float(n["heldout_gain_nats"]) > CLEAR * float(n["heldout_gain_se"])
+    why = {
+        "score": f"its score before the fit does not stand out from what chance gives ({chance(n['p_value'])})"
+        + (", although the fit gains" if gains else ""),
+        "gain": "unseen data are not forecast clearly better",
+        "worse": "some forecasts get worse",
+    }
+    reasons = [why[name] for name in n["doubts"]]
+    return "the data do not ask for it" + (f": {listed(reasons)}" if reasons else "")
 
 
 def gain_in_words(d: Document, n: Document) -> str:
     """The name of an addition, and what it gains on unseen data, in a few words."""
     size = f"{nats(float(n['heldout_gain_nats']), float(n['heldout_gain_se']))} nats"
-    told = (
-        f"{size} better on unseen data" if n["is_supported"] else not_found(n) or f"the data do not ask for it ({size})"
-    )
+    told = f"{size} better on unseen data" if n["is_supported"] else not_found(n) or f"{size}; {not_asked_for(n)}"
     return f"{addition(d, n)}: {told}"
 
 
@@ -168,71 +173,6 @@ def _unwritten(n: Document) -> str:
     return f"{form_of(n)}({names})"
 
 
-# Checks
-
-
-def failed(d: Document) -> list[Document]:
-    """The checks that fail, the smallest p-value first."""
-    return sorted((one for one in d["checks"] if one["failed"]), key=lambda one: float(one["p_value"]))
-
-
-def checks_hold(d: Document) -> str:
-    """How many checks hold."""
-    every = len(d["checks"])
-    return f"{every - len(failed(d))} of {every} checks hold"
-
-
-def check_title(d: Document, check: Document) -> str:
-    """What a check compares."""
-    name = str(check["name"])
-    if name in _CHECKS:
-        return _CHECKS[name]
-    if found := re.fullmatch(r"bias_over_(\w+)", name):
-        return f"bias over the {spaced(found[1])}"
-    if found := re.fullmatch(r"spread_of_(single|road)_runs_([\d.]+)s", name):
-        return f"spread of {_RUNS[found[1]]} after {found[2]} s"
-    if found := re.fullmatch(r"left_for_(\w+)", name):
-        return f"left for {titled(d, found[1])}"
-    if found := re.fullmatch(r"gain_of_(\w+)", name):
-        return f"lead of {_other(d, found[1])}"
-    if found := re.fullmatch(r"sign_of_(\w+)\.(\w+)", name):
-        return f"{found[2]} of {named(d, found[1])}"
-    return spaced(name)
-
-
-def _other(d: Document, name: str) -> str:
-    """Name of another law, or of another form of what was added."""
-    about = d.get("about", {}).get(name.removesuffix("_of_some"), {})
-    return named(d, name) if about.get("kind") == "effect" else model_name(name)
-
-
-def check_values(check: Document) -> tuple[str, str, str]:
-    """What was measured, what the model gives, and the p-value of a check."""
-    unit = str(check["unit"]) if check["unit"] != "1" else ""
-    numbers = (quantity(float(check[name]), unit) for name in ("value", "expected"))
-    return (*numbers, chance(check["p_value"]))  # type: ignore[return-value]
-
-
-def check_in_words(d: Document, check: Document) -> str:
-    """A check with its values: what was measured, and what the model's own simulations give."""
-    measured, given, p = check_values(check)
-    name, title = str(check["name"]), check_title(d, check)
-    if name.startswith("left_for_"):
-        return f"{named(d, name.removeprefix('left_for_'))} would still gain {measured} on the fitted data ({p})"
-    if name.startswith("gain_of_"):
-        return f"{_other(d, name.removeprefix('gain_of_'))} gains {measured} more on unseen data ({p})"
-    if name.startswith("sign_of_"):
-        return f"{title} is {measured}; below {given} it makes no physical sense"
-    kind = name.partition("_")[0]
-    units = {"bias": " times what chance makes", "spread": " times the predicted variance"}.get(kind, "")
-    return f"{title}: {measured}{units}, in the model's own simulations {given} ({p})"
-
-
-def reasons(d: Document) -> list[str]:
-    """What speaks against the final model: its failed checks."""
-    return [check_in_words(d, one) for one in failed(d)]
-
-
 # The verdict
 
 
@@ -250,31 +190,37 @@ def badge(d: Document) -> tuple[str, str]:
 
 def headline(d: Document) -> str:
     """The verdict as a few plain sentences; physics, constants and forces are told apart."""
-    effects, words = d["verdict"]["effects"], badge(d)[1]
+    sign, words = badge(d)
+    stands, said = standstill(d), _findings(d)
+    return said if sign == "?" else f"{words}: {stands}{capital(said) if stands else said}"
+
+
+def _findings(d: Document) -> str:
+    effects = d["verdict"]["effects"]
     fails = f"fails {len(failed(d))} of {len(d['checks'])} checks"
     if not effects:
         if d["verdict"]["outcome"] == "adequate":
-            return f"{words}: no check fails."
-        return f"{words}: the model {fails}, and no effect that was tried explains it."
+            return "no check fails."
+        return f"the model {fails}, and no effect that was tried explains it."
     supported = [n for n in effects if n["is_supported"]]
     if not supported:
         asked = f"You asked for {_of(d, effects)}; the data do not."
-        return f"{words}: {asked} The model {fails}: something else is missing." if failed(d) else asked
+        return f"{asked} The model {fails}: something else is missing." if failed(d) else asked
     still = f" The model still {fails}." if failed(d) else ""
     physical, rest = ([n for n in supported if _explains(n) == is_physical] for is_physical in (True, False))
     if not physical:
-        return f"{words}: {_without_physics(d, rest)}{still}"
+        return f"{_without_physics(d, rest)}{still}"
     more = f" Besides, {_without_physics(d, rest)}" if rest else ""
+    names, is_one = _of(d, physical, "physical effects"), len(physical) == 1
     if still:
-        return f"{words}: {_of(d, physical)} and more is missing.{more}{still}"
-    found = "it" if len(physical) == 1 else "them"
+        return f"{names} {'is' if is_one else 'are'} missing, and so is something else.{more}{still}"
     tried = " Other effects were not fitted." if d["verdict"].get("asked") else ""
-    return f"{words}: {_of(d, physical)}. With {found}, no check fails.{tried}{more}"
+    return f"{names}. With {'it' if is_one else 'them'}, no check fails.{tried}{more}"
 
 
-def _of(d: Document, effects: Sequence[Document]) -> str:
+def _of(d: Document, effects: Sequence[Document], kind: str = "additions") -> str:
     """The names of few additions, or the number of many."""
-    return listed([addition(d, n) for n in effects]) if len(effects) <= _FEW else f"{len(effects)} additions"
+    return listed([addition(d, n) for n in effects]) if len(effects) <= _FEW else f"{len(effects)} {kind}"
 
 
 def _without_physics(d: Document, effects: Sequence[Document]) -> str:
@@ -332,17 +278,21 @@ def cautions(d: Document) -> list[str]:
 
 
 def fall(d: Document) -> str:
-    """How the error after 10 s falls, and how much of the fall physics brings; empty where it is not known."""
+    """How the error after 10 s falls, and by what kind of additions; empty where it is not known."""
     ends = [end for when in MODELS[:2] if (end := _after_10_s(d["errors"].get(when, {}))) is not None]
     shares = d["verdict"].get("fall")
     if not d["verdict"]["effects"] or len(ends) < 2 or not shares:
         return ""
-    text = " -> ".join(distances(*ends))
+    before, after = distances(*ends)
     if ends[1] >= ends[0]:
-        return f"The error after 10 s does not fall: {text}."
+        return f"The error of a forecast over 10 s does not fall: {before} -> {after}."
     physics, other = float(shares["physics_m"]), float(shares["other_m"])
-    share = "none of it" if physics <= 0.0 else distances(physics)[0] if other else "all of it"
-    return f"The error after 10 s falls, {text}; physical effects bring {share}."
+    by = f"{'all' if not other else 'none' if physics <= 0.0 else ''} of it by physical effects"
+    if physics > 0.0 and other:
+        taken, rest = distances(physics, abs(other))
+        all_else = f"all else that was added {'takes off' if other > 0.0 else 'adds'} {rest}"
+        by = f"physical effects take off {taken}, {all_else}"
+    return f"The error of a forecast over 10 s falls, {before} -> {after}: {by}."
 
 
 def _after_10_s(errors: Document) -> float | None:
@@ -423,8 +373,8 @@ def sentences(d: Document) -> list[str]:
         more = f", and {len(shown) - _SHOWN} more (in the report and in --json)" if len(shown) > _SHOWN else ""
         sizes = ", ".join(shown[:_SHOWN]) + more
         lines.append(f"Effects of this strength would usually have shown: {sizes}." if shown else "")
-    for n in effects:
-        lines += _added(d, n, lines[0])
+    for n in sorted([*effects, *d["verdict"]["dropped"]], key=lambda n: int(n["step"])):
+        lines += [_taken_out(d, n)] if "dropped_in" in n else _added(d, n, lines[0])
     model = equation(d)
     lines.append(f"The model, with what is new in brackets: {model}" if model else "")
     lines += [f"Fails: {one}." for one in reasons(d)]
@@ -440,11 +390,10 @@ def sentences(d: Document) -> list[str]:
 
 def _added(d: Document, n: Document, told: str) -> list[str]:
     """Lines about an addition; ``told``: what the first line says already."""
-    ends = [n["free_run_rmse_before_m"], n["free_run_rmse_after_m"]]
-    fall = f"; error after 10 s {' -> '.join(distances(*ends))}" if None not in ends else ""
-    lines = [f"{addition(d, n)}: {size_of(d, n)}. On unseen data {on_unseen(n)}; {chance(n['p_value'])}{fall}."]
+    seen = f"On unseen data {on_unseen(n)}; {chance(n['p_value'])}{_step_in_words(n)}"
+    lines = [f"{addition(d, n)}: {size_of(d, n)}. {seen}."]
     if d["verdict"].get("asked"):
-        lines.append("The data ask for it." if n["is_supported"] else "You asked for it; the data do not ask for it.")
+        lines.append("The data ask for it." if n["is_supported"] else f"You asked for it; {not_asked_for(n)}.")
     if text := worse_in_words(n):
         lines.append(f"Gets worse: {text}.")
     if others := not_told_apart(d, n):
@@ -453,6 +402,19 @@ def _added(d: Document, n: Document, told: str) -> list[str]:
     if (near := closest(d, n)) and near not in told:
         lines.append(f"{capital(near)}.")
     return [lines[0], *(f"  {line}" for line in lines[1:])]
+
+
+def _step_in_words(n: Document) -> str:
+    """How the error after 10 s changes in a step; empty where it is not known."""
+    ends = [n["free_run_rmse_before_m"], n["free_run_rmse_after_m"]]
+    return f"; error after 10 s {' -> '.join(distances(*ends))}" if None not in ends else ""
+
+
+def _taken_out(d: Document, n: Document) -> str:
+    """A line about something that was added and then taken out again, so that the errors of the steps have no gap."""
+    steps = [*d["verdict"]["effects"], *d["verdict"]["dropped"]]
+    beside = listed([addition(d, one) for one in steps if one["step"] == n["dropped_in"]])
+    return f"{addition(d, n)}: added{_step_in_words(n)}; taken out again, because it is not needed beside {beside}."
 
 
 def biased(d: Document, when: str) -> str:

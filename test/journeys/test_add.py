@@ -55,9 +55,9 @@ def test_what_is_asked_for_is_added_and_the_data_say_what_they_think_of_it(added
     assert effects["discovered_force"]["covariate"] == "time_gap"
     assert not effects["rationality"]["is_supported"]
     lines = [line.strip() for line in added.out.splitlines()]
-    said = [lines.count(f"{start}the data do not ask for it.") for start in ("You asked for it; ",)]
-    assert said == [sum(not one["is_supported"] for one in effects.values())]
-    assert lines.count("The data ask for it.") == len(effects) - said[0]
+    said = [line for line in lines if line.startswith("You asked for it; the data do not ask for it: ")]
+    assert len(said) == sum(not one["is_supported"] for one in effects.values())
+    assert lines.count("The data ask for it.") == len(effects) - len(said)
     # the equation has a bracket for each addition
     (equation,) = [line for line in lines if line.startswith("The model, with what is new in brackets: a = abar(")]
     assert equation.count("[") == len(effects)

@@ -244,7 +244,7 @@ def test_the_report_in_a_browser(browser, page):
     # what is folded opens by the keyboard; the links of the top lead to their sections
     shown.locator("#missing summary").first.focus()
     shown.keyboard.press("Enter")
-    assert shown.get_by_text("The error after 10 s falls").is_visible()
+    assert shown.get_by_text("The error of a forecast over 10 s falls").is_visible()
     shown.get_by_role("link", name="What it is worth").focus()
     shown.keyboard.press("Enter")
     shown.wait_for_function("document.querySelector('#worth').getBoundingClientRect().top < 400")

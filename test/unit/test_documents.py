@@ -1,19 +1,23 @@
 """Documents that are damaged, crafted or of another kind are refused with one line, in bounded time and memory."""
 
 import copy
+import itertools
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from diagnoses import addition, document
+from diagnoses import addition, document, dropped
 
+from sugiyama_ros.diagnosis.diagnose import Round
 from sugiyama_ros.driver.parameters import NAMES, defaults
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.page.diagnosis import read_diagnosis
+from sugiyama_ros.page.document import dropped_again
 from sugiyama_ros.page.panels.diagnosed import candidates, growth
 
 PARAMETERS = dict(zip(NAMES, defaults().tolist(), strict=True))
@@ -26,7 +30,7 @@ MODEL = {
 ALIASES = "a: &a [x, x]\nb: &b [*a, *a, *a, *a, *a, *a, *a, *a]\nc: [*b, *b, *b, *b, *b, *b]\n"
 DIAGNOSIS: dict[str, Any] = {
     **{name: [one[0]] for name, one in document().items() if name in ("candidates", "checks", "drivers")},
-    "verdict": {"outcome": "explained", "effects": [addition()]},
+    "verdict": {"outcome": "explained", "effects": [addition()], "dropped": [dropped()]},
     "smallest_detectable": [{"name": "reaction_delay", "parameter": "delay", "value": 0.05}],
     "errors": {"before": {"one_step_rmse_m": 0.4, "free_run_2s_m": 0.5}, "after": {"one_step_rmse_m": 0.39}},
 }
@@ -131,3 +135,18 @@ def test_a_model_file_names_the_effect_that_is_not_installed(tmp_path):
     path.write_text(yaml_of(MODEL).replace("drag", "syrup"))
     with pytest.raises(InputError, match=r"model.yaml: drivers: 0: effect 'syrup': not known here; was its package"):
         read_model(path)
+
+
+def test_what_a_later_step_takes_out_again_is_in_the_document(monkeypatch: pytest.MonkeyPatch) -> None:
+    patch, grade, drag = (
+        SimpleNamespace(mechanism=name, effect=name, kind="effect") for name in ("slow_patch", "road_grade", "drag")
+    )
+    entries = [
+        SimpleNamespace(forecasts=error_m, added=added)
+        for error_m, added in ((12.0, ()), (6.0, (patch,)), (5.0, (patch, grade)), (3.0, (patch, drag)))
+    ]
+    monkeypatch.setattr("sugiyama_ros.page.document.errors", lambda error_m: {"free_run_10s_m": error_m})
+    steps = [Round(now, (), None, {}, then, {}) for now, then in itertools.pairwise(entries)]  # type: ignore[arg-type]
+    (found,) = dropped_again(SimpleNamespace(steps=steps))  # type: ignore[arg-type]
+    assert (found.name, found.step, found.dropped_in) == ("road_grade", 1, 2)
+    assert (found.free_run_rmse_before_m, found.free_run_rmse_after_m) == (6.0, 5.0)
