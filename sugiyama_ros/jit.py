@@ -31,7 +31,7 @@ from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
 from numba.extending import register_jitable
 
-from sugiyama_ros import progress
+from sugiyama_ros import interrupts, progress
 from sugiyama_ros.fingerprint import fingerprint, kernels_in
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -180,6 +180,15 @@ class _InsideLoop(_Inside):
     part = _Loop
 
 
+class _Version(CPUDispatcher):
+    """A version of a kernel with machine code of its own."""
+
+    def compile(self, sig: Any) -> Any:
+        """Compile or load it for these types of arguments."""
+        with interrupts.compiling():
+            return super().compile(sig)
+
+
 class Kernel(CPUDispatcher):
     """A compiled function. It becomes part of compiled code that calls it; Python calls another version, ``entry``.
 
@@ -225,7 +234,7 @@ class Kernel(CPUDispatcher):
         return compiled
 
     def _version(self, use: str, options: dict[str, Any]) -> Any:
-        version: Any = CPUDispatcher(self.py_func, targetoptions=self._given | options)
+        version: Any = _Version(self.py_func, targetoptions=self._given | options)
         if self._kept:
             version._cache = _Cache(self.py_func, self, self._made_of, use)
         return version

@@ -205,6 +205,57 @@ def test_a_pipe_as_a_document_is_refused(here, forked, option):
     refused(forked(*command, option, "pipe"), "not a regular file")
 
 
+def test_ctrl_c_while_something_compiles_ends_the_command_within_seconds(tmp_path):
+    """The filter alone takes half a minute to compile, in a thread that nothing can interrupt."""
+    (tmp_path / "good.csv").write_text(GOOD)
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "compiled")}
+    command = [SUGIYAMA, "calibrate", "good.csv", "-o", "model.yaml"]
+    with subprocess.Popen(
+        command,
+        cwd=tmp_path,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    ) as running:
+        while b"of run" not in (line := running.stderr.readline()):
+            assert line, "nothing was compiled"
+        running.send_signal(signal.SIGINT)
+        _, said = running.communicate(timeout=10)
+    assert running.returncode == 130
+    assert b"Traceback" not in said
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["compiled", "good.csv"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_compiler_in_another_thread_does_not_keep_the_program(number):
+    code = """
+import sys, threading, time
+from sugiyama_ros import interrupts
+def compile_for_ever():
+    with interrupts.compiling():
+        print("begun", flush=True)
+        time.sleep(600)
+interrupts.remember()
+thread = threading.Thread(target=compile_for_ever)
+thread.start()
+try:
+    thread.join()
+except KeyboardInterrupt:  # as the command line ends
+    interrupts.settled()
+    sys.exit(130)
+"""
+    with subprocess.Popen(
+        [sys.executable, "-c", code],
+        stdout=subprocess.PIPE,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    ) as running:
+        assert running.stdout.readline() == b"begun\n"
+        running.send_signal(number)
+        running.communicate(timeout=60)
+    assert running.returncode == 130
+
+
 def test_an_error_under_a_limit_of_memory_is_one_line(here):
     """Libraries fail in ways of their own, or go on for ever, where the shell gives them too little."""
 
