@@ -14,7 +14,7 @@ from sugiyama_ros.formats.format import Format
 from sugiyama_ros.formats.reading import checksum_of, shown_name
 from sugiyama_ros.formats.sheet import Sheet, head_of, read_sheet
 from sugiyama_ros.trajectories.about import About, Leaders, Reference
-from sugiyama_ros.trajectories.assemble import assemble
+from sugiyama_ros.trajectories.assemble import LATEST_S, assemble
 from sugiyama_ros.trajectories.labels import Labels, labels
 from sugiyama_ros.trajectories.time_base import is_regular, on_time_base
 from sugiyama_ros.trajectories.tracks import INFINITE, NUMBERS, Tracks
@@ -58,13 +58,13 @@ def read_columns(sheet: Sheet, wanted: Mapping[str, Take], hint: str = "") -> Ro
     found = {name: place for name, one in wanted.items() if (place := sheet.find(*one.names)) is not None}
     missing = [" or ".join(one.names) for name, one in wanted.items() if not one.optional and name not in found]
     if missing:
+        there = ", ".join(sheet.names)[:200] or "none"
         line = f":{sheet.header}" if sheet.header and not sheet.is_parquet else ""
         cure = "say which is which: sugiyama convert --columns map.yaml"
         if sheet.frame is not None:
             cure = "name them so, as by frame.rename(columns={'old': 'new'})"
-        if sheet.names[0].startswith("#"):
+        if there.startswith("#"):
             cure = "remove the lines before the one with the names, and the # before the names"
-        there = ", ".join(sheet.names)[:200]
         raise InputError(f"{sheet.path}{line}: no column {', '.join(missing)}; the columns are {there}; {cure}{hint}")
     times = {place: wanted[name].factor for name, place in found.items() if name in ("time_s", "clock_s")}
     numbers = {place for name, place in found.items() if is_number(name)}
@@ -74,7 +74,7 @@ def read_columns(sheet: Sheet, wanted: Mapping[str, Take], hint: str = "") -> Ro
     for name, place in found.items():
         column = read[place]
         factor = 1.0 if place in times else wanted[name].factor
-        # what becomes too large is left out later on, as no time or no position
+        # what becomes infinite is left out later on, as no time or no position
         with np.errstate(over="ignore"):
             table[name] = column if isinstance(column, Labels) or factor == 1.0 else column * factor
     return table
@@ -161,7 +161,7 @@ def _in_seconds(time: Array) -> tuple[Array, str]:
     """Times (R,) [s], where they may count parts of a second since 1970, and a note that says so."""
     latest = float(np.nanmax(np.abs(time), initial=0.0))
     for above, part, name in _PARTS:
-        if above < latest < np.inf:
+        if above < latest < LATEST_S / part:
             return time * part, f"times are {name} in the file; they were made seconds"
     return time, ""
 

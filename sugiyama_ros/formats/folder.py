@@ -13,7 +13,7 @@ from sugiyama_ros.formats.columns import Rows, stacked
 from sugiyama_ros.formats.format import Format
 from sugiyama_ros.formats.reading import shown_name, shown_stem
 from sugiyama_ros.formats.sheet import head_of
-from sugiyama_ros.trajectories.about import About
+from sugiyama_ros.trajectories.about import About, checksum_of_parts
 from sugiyama_ros.trajectories.exchange import of_columns
 from sugiyama_ros.trajectories.labels import Labels, joined, same_label
 from sugiyama_ros.trajectories.tracks import FLAGS, NUMBERS, TEXTS, Tracks
@@ -80,6 +80,7 @@ def _joined(source: str, parts: list[Tracks]) -> Tracks:
     each = [part.about for part in parts]
     about = About(
         source=source,
+        sha256=checksum_of_parts(sorted(one.sha256 for one in each)),
         view=each[0].view,
         leaders="given",
         ring_m=each[0].ring_m,

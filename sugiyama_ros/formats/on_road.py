@@ -9,7 +9,7 @@ from sugiyama_ros.roads.network import Network
 from sugiyama_ros.roads.routes import routes_of
 from sugiyama_ros.roads.scene import OnNetwork, scene
 from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M, About, Reference
-from sugiyama_ros.trajectories.assemble import TO_CENTRE
+from sugiyama_ros.trajectories.assemble import TO_CENTRE, check_possible
 from sugiyama_ros.trajectories.labels import Labels, joined, labels
 from sugiyama_ros.trajectories.tracks import NOBODY
 
@@ -20,6 +20,8 @@ def on_road(columns: Rows, network: Network, about: About, reference: Reference 
     columns: (R,), among them ``x_m``, ``y_m`` [m] and perhaps ``heading_m`` [rad], ``x_speed`` and ``y_speed`` [m/s];
     the road of a row is its route, and its lane is the lane; reference: what the places are of.
     """
+    # beside all lanes, a vehicle would be left out without a word
+    check_possible({name: columns[name] for name in ("x_m", "y_m") if name in columns}, about.source)  # type: ignore[misc]
     vehicle = text_of(columns, "vehicle")
     recording = columns.get("recording")
     each = joined(recording, vehicle, "/") if isinstance(recording, Labels) else vehicle

@@ -350,24 +350,29 @@ def _body(sheet: Sheet) -> Iterator[Any]:
         yield stream
 
 
-def _parquet_sheet(path: Path) -> Sheet | None:
-    import pyarrow
-    from pyarrow import parquet
+@contextmanager
+def parquet_file(path: Path) -> Iterator[Any]:
+    """An open file of Parquet, whose pages are compared with their checksums. Raises InputError if it is damaged."""
+    from pyarrow import ArrowException, parquet
 
     try:
-        with parquet.ParquetFile(path) as file:
-            names = tuple(file.schema_arrow.names)
-    except (pyarrow.ArrowException, OSError, ValueError):
-        return None
+        with parquet.ParquetFile(path, page_checksum_verification=True) as file:
+            yield file
+    except (ArrowException, OSError, ValueError) as error:
+        reason = " ".join(str(error).split())[:100]
+        raise InputError(f"{path}: cut or damaged: {reason}; get the file again, or convert its source again") from None
+
+
+def _parquet_sheet(path: Path) -> Sheet:
+    with parquet_file(path) as file:
+        names = tuple(file.schema_arrow.names)
     if double := [name for name in names if names.count(name) > 1]:
         raise InputError(f"{path}: has {names.count(double[0])} columns {double[0]}; rename all but one")
     return Sheet(path, names, separator="")
 
 
 def _parquet_batches(sheet: Sheet, names: list[str]) -> Iterator[Any]:
-    from pyarrow import parquet
-
-    with parquet.ParquetFile(sheet.path) as file:
+    with parquet_file(sheet.path) as file:
         if file.metadata.num_rows > MAX_ROWS:
             raise InputError(f"{sheet.path}: more than {MAX_ROWS} rows; split the file")
         yield from file.iter_batches(batch_size=1 << 18, columns=names)

@@ -10,7 +10,7 @@ from sugiyama_ros.formats.choices import COLUMNS, Choices
 from sugiyama_ros.formats.columns import is_number
 from sugiyama_ros.formats.format import Format
 from sugiyama_ros.formats.reading import shown_name
-from sugiyama_ros.formats.sheet import head_of, read_sheet, sheet_of
+from sugiyama_ros.formats.sheet import head_of, parquet_file, read_sheet, sheet_of
 from sugiyama_ros.trajectories.about import About, source_in
 from sugiyama_ros.trajectories.exchange import about_of, of_columns, to_arrow, write_parquet
 from sugiyama_ros.trajectories.tracks import INFINITE, Tracks
@@ -56,13 +56,8 @@ def _about(head: bytes, path: Path) -> About | None:
     """What a file says about its tracks; None for a file that holds none."""
     if not head.startswith(b"PAR1"):
         return None
-    from pyarrow import ArrowException, parquet
-
-    try:
-        with parquet.ParquetFile(path) as file:
-            return about_of(file.schema_arrow.metadata)
-    except (ArrowException, OSError, ValueError):
-        return None
+    with parquet_file(path) as file:
+        return about_of(file.schema_arrow.metadata)
 
 
 FORMAT = Format(

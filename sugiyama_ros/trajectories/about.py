@@ -1,7 +1,12 @@
 """Where tracks come from, and what was done to them."""
 
+import hashlib
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 #: Length [m] of a vehicle if the file does not give the length: the mean of the paper's Table 1.
 DEFAULT_LENGTH_M = 4.33
@@ -32,8 +37,8 @@ class About:
     in view, so that the first vehicle has a free road; leaders: "found": the next vehicle ahead leads, and what the
     file says is only compared; "given": the file says who leads; ring_m: circumference [m] of a ring road; 0 for open
     roads; period_s: time [s] between two samples, if the source states it; 0 if not; source, sha256, licence: name and
-    checksum of the file, and its terms of use; dropped: the ledger: reasons for which rows were left out, and how many
-    rows; notes: what was changed or looks odd.
+    checksum of the file, or of the rows where there is no file, and its terms of use; dropped: the ledger: reasons for
+    which rows were left out, and how many rows; notes: what was changed or looks odd.
     """
 
     reference: Reference = "centre"
@@ -61,3 +66,12 @@ class About:
         """The same, with notes that are not empty and not there yet."""
         new = tuple(note for note in dict.fromkeys(notes) if note and note not in self.notes)
         return replace(self, notes=(*self.notes, *new))
+
+
+def checksum_of_parts(parts: Iterable[str | NDArray[np.generic]]) -> str:
+    """Checksum (SHA-256) of texts and arrays, for what comes from no single file."""
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(part.encode(errors="surrogateescape") if isinstance(part, str) else part.tobytes())
+        digest.update(b"\0")
+    return digest.hexdigest()

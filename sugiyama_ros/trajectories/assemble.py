@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
-from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M, About, Reference
+from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M, About, Reference, checksum_of_parts
 from sugiyama_ros.trajectories.jumps import FASTEST, jumps_noted, wrong_ring
 from sugiyama_ros.trajectories.labels import Labels, labels, labels_of, matched, numbered, same_label
 from sugiyama_ros.trajectories.leaders import (
@@ -35,8 +35,15 @@ _SAME_M = 0.01
 _LENGTH_VARIES_M = 0.5
 #: Length [m] beyond which a number is taken for damage.
 _LONGEST_M = 1000.0
-#: Times [s] and positions [m] beyond which a number is taken for damage: the year 2106, and light's way in a second.
-_LATEST_S, _FARTHEST_M = 2.0**32, 3e8
+#: Time [s] beyond which a number is taken for damage: the year 2106.
+LATEST_S = 2.0**32
+# Numbers from which on nothing can be measured, by the end of a column's name: limit, unit, and what lies beyond.
+_IMPOSSIBLE: tuple[tuple[str, float, str, str], ...] = (
+    ("_s", LATEST_S, "s", "beyond the year 2106"),
+    ("_m", 3e8, "m", "farther than seven times round the earth"),
+    ("speed", 3e8, "m/s", "faster than light"),
+)
+_ANYTHING = ("", np.inf, "", "")
 #: Way [m] that all vehicles of a lane together go backward, for the lane to be turned round: more than noise at rest.
 _BACKWARD_M = 10.0
 #: How a note begins that says how many of the given leaders are the next vehicles ahead.
@@ -58,6 +65,7 @@ def assemble(
     its unit is not known, ``some_speed``, where they are given. Raises InputError.
     """
     table = _table(columns, about or About())
+    check_possible(table.number, table.source)
     for step in (_known, _sorted, _once, *([_in_usual_units] if checked else []), _lives, _with_times):
         table = step(table)
     run = _run(table)
@@ -149,7 +157,15 @@ def _table(columns: Columns, about: About) -> _Table:
     text.setdefault("recording", same_label(len(number["s_m"]), "1"))
     if "leader" in text:
         text["leader"] = matched(text["leader"], text["vehicle"])
-    return _Table(text, number, about)
+    table = _Table(text, number, about)
+    return table if about.sha256 else table._replace(about=replace(about, sha256=_checksum(table)))
+
+
+def _checksum(table: _Table) -> str:
+    """Checksum of who is where at what time."""
+    recording, vehicle = table.text["recording"], table.text["vehicle"]
+    numbers = recording.code, vehicle.code, table.number["time_s"], table.number["s_m"]
+    return checksum_of_parts((*recording.text, *vehicle.text, *numbers))
 
 
 def _yes_or_no(column: Labels, about: About) -> Array:
@@ -168,20 +184,40 @@ def _in_whole_runs(flag: Mask, run: Ints) -> Mask:
     return np.asarray(np.bincount(run, weights=flag)[run] > 0.0)
 
 
+def check_possible(numbers: Mapping[str, Array], source: str) -> None:
+    """Raise InputError for a number that nothing can have; what is missing or infinite may be.
+
+    numbers: columns (R,), whose names say their units.
+    """
+    for name, column in numbers.items():
+        _, limit, unit, beyond = next((one for one in _IMPOSSIBLE if name.endswith(one[0])), _ANYTHING)
+        wrong = np.flatnonzero((np.abs(column) >= limit) & (np.abs(column) < np.inf))
+        if len(wrong):
+            raise InputError(
+                f"{source}: {name} is impossible in {len(wrong)} of {len(column)} rows, first {column[wrong[0]]:.6g}"
+                f" {unit}, {beyond}; correct or remove these rows, or get the file again if it is damaged"
+            )
+
+
 def _known(table: _Table) -> _Table:
-    """Leave out rows without a time, a position or a vehicle."""
-    keep = np.ones(len(table.number["s_m"]), dtype=bool)
-    about = table.about
-    for known, said in (
-        (np.abs(table.number["time_s"]) < _LATEST_S, "no time"),
-        (np.abs(table.number["s_m"]) < _FARTHEST_M, "no position"),
-        (table.text["vehicle"].code >= 0, "no vehicle"),
-        (table.text["recording"].code >= 0, "no recording"),
-    ):
-        about = about.without(said, int(np.sum(keep & ~known)))
-        keep &= known
-    if not keep.any():
+    """Leave out rows without a time or a position. Raises InputError for a row that has both, and no vehicle.
+
+    Whoever drives behind a vehicle without a name would get the vehicle ahead of it as the leader.
+    """
+    time, s = table.number["time_s"], table.number["s_m"]
+    keep, about = np.isfinite(time), table.about
+    about = about.without("no time", int(np.sum(~keep)))
+    about = about.without("no position", int(np.sum(keep & ~np.isfinite(s))))
+    keep &= np.isfinite(s)
+    nameless = {name: np.flatnonzero(keep & (table.text[name].code < 0)) for name in ("vehicle", "recording")}
+    if max(map(len, nameless.values())) == keep.sum():
         raise InputError(f"{table.source}: no row has a vehicle, a time and a position; give such rows")
+    for name, rows in nameless.items():
+        if len(rows):
+            raise InputError(
+                f"{table.source}: {len(rows)} of {len(time)} rows have a time and a position, but no {name}, first at"
+                f" {time[rows[0]]:g} s and {s[rows[0]]:g} m; give each row its {name}, or remove these rows"
+            )
     return (table if keep.all() else table.taken(keep))._replace(about=about)
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
-from sugiyama_ros.trajectories.about import About
+from sugiyama_ros.trajectories.about import About, checksum_of_parts
 from sugiyama_ros.trajectories.assemble import Column, assemble
 from sugiyama_ros.trajectories.jumps import jumps_noted
 from sugiyama_ros.trajectories.labels import Labels, numbered
@@ -54,7 +54,7 @@ class DenseTracks:
     start_s : float
         Time [s] of the first sample.
     source, sha256 : str
-        Name and checksum of the file that the positions come from; empty if there is no file.
+        Name and checksum of the file that the positions come from; without a file, the checksum of the positions.
     controlled : tuple of int
         Numbers of the vehicles that a controller drives.
 
@@ -86,6 +86,9 @@ class DenseTracks:
             raise InputError(f"{self.source or 'tracks'}: a vehicle's number occurs twice")
         if not (np.all(np.isfinite(self.length_m)) and np.all(self.length_m >= 0.0)):
             raise InputError(f"{self.source or 'tracks'}: a vehicle's length is negative or not a number")
+        if not self.sha256:
+            rows = self.vehicle, self.position_m, np.array([self.start_s, self.period_s])
+            object.__setattr__(self, "sha256", checksum_of_parts(rows))
 
     def headline(self) -> str:
         """Say how many vehicles there are, for how long, and on what road."""

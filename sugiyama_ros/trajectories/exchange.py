@@ -39,7 +39,8 @@ def write_parquet(tracks: Tracks, stream: BinaryIO) -> None:
     """Write tracks as Parquet into a file that is open for writing."""
     from pyarrow import parquet
 
-    parquet.write_table(to_arrow(tracks), stream, compression="zstd", row_group_size=_GROUP)
+    table = to_arrow(tracks)
+    parquet.write_table(table, stream, compression="zstd", row_group_size=_GROUP, write_page_checksum=True)
 
 
 def about_of(metadata: dict[bytes, bytes] | None) -> About | None:
