@@ -144,7 +144,7 @@ def replay(options: RunOptions) -> "RunResult":
 
 def _source(options: RunOptions) -> "Path | FromSimulator":
     """The file to replay, or the drivers to simulate. Raises InputError where the options do not say which."""
-    from sugiyama_ros.effects.registry import read_parameter
+    from sugiyama_ros.driver.parameters import read_parameters
     from sugiyama_ros.nodes.plan import FromSimulator
     from sugiyama_ros.simulation.experiment import Experiment
 
@@ -169,7 +169,7 @@ def _source(options: RunOptions) -> "Path | FromSimulator":
     experiment = Experiment(**{name: value for name, value in given.items() if value is not None})  # type: ignore[arg-type]
     vehicles = options.vehicles if options.vehicles is not None else 22
     experiment.check(vehicles)
-    changes = dict(read_parameter(text, "--set") for text in options.parameter or ())
+    changes = read_parameters(options.parameter or (), "--set")
     return FromSimulator(vehicles, experiment, changes=changes, effects=tuple(options.effect or ()))
 
 

@@ -235,16 +235,13 @@ def _rows(options: _SimulateOptions, file: "model_file.ModelFile | None", vehicl
     """Parameters (N, WIDTH) of N drivers: the paper's or a model file's, changed by --set and --effect."""
     import numpy as np
 
-    from sugiyama_ros.driver.parameters import defaults
-    from sugiyama_ros.effects.registry import ROW, read_effect, read_parameter
+    from sugiyama_ros.driver.parameters import defaults, read_parameters
+    from sugiyama_ros.effects.registry import ROW, read_effects
     from sugiyama_ros.fit.model_file import drive_by
     from sugiyama_ros.simulation.experiment import changed
 
     rows = ROW.with_effects(defaults(vehicles)) if file is None else file.simulated(vehicles)
     if options.law != PAPERS:
         rows = np.array([drive_by(row, options.law) for row in rows])
-    for text in options.parameter or ():
-        rows = changed(rows, dict([read_parameter(text, "--set")]), {})
-    for text in options.effect or ():
-        rows = changed(rows, {}, dict([read_effect(text, "--effect")]))
-    return rows
+    values = read_parameters(options.parameter or (), "--set")
+    return changed(rows, values, read_effects(options.effect or (), "--effect"))

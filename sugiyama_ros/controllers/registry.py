@@ -4,7 +4,6 @@ Another package adds a controller with an entry point of the group ``sugiyama_ro
 ``Controller``.
 """
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from operator import index
 
@@ -12,7 +11,7 @@ import numpy as np
 
 from sugiyama_ros import plugins
 from sugiyama_ros.controllers.controller import Controlled, Controller
-from sugiyama_ros.driver.parameters import Parameter
+from sugiyama_ros.driver.parameters import read_numbers, read_pairs
 from sugiyama_ros.errors import InputError
 
 #: Group of the entry points by which other packages add controllers.
@@ -48,30 +47,12 @@ def controlled_by(
     if vehicles is None or text is None:
         given, missing = ("controller", "controlled")[:: 1 if vehicles is None else -1]
         raise InputError(f"{shown(given)}: needs {shown(missing)}, too")
-    name, _, pairs = str(text).partition(":")
-    chosen = controller(name)
-    values = {p.name: p.default for p in chosen.parameters}
-    for pair in filter(None, pairs.split(",")):
-        key, _, value = (part.strip() for part in pair.partition("="))
-        declared = next((p for p in chosen.parameters if p.name == key), None)
-        if declared is None:
-            raise InputError(f"{shown('controller')} {text}: {name} has no {key!r}; it has {', '.join(values)}")
-        values[key] = _number(value, declared, f"{shown('controller')} {text}")
+    name, _, pairs = text.partition(":")
+    chosen, where = controller(name), f"{shown('controller')} {text}"
+    values = {p.name: p.default for p in chosen.parameters} | read_numbers(
+        read_pairs(pairs, where), chosen.parameters, where
+    )
     return Controlled(_numbers(vehicles, shown("controlled")), chosen, np.array(list(values.values())))
-
-
-def _number(text: str, declared: Parameter, where: str) -> float:
-    """Value of a parameter. Raises InputError."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not declared.lower <= value <= declared.upper:
-        raise InputError(
-            f"{where}: {declared.name} is {text or 'empty'}; give {declared.lower:g} to {declared.upper:g}"
-            f" {declared.unit}"
-        )
-    return value
 
 
 def _numbers(vehicles: str | Sequence[int], where: str) -> tuple[int, ...]:

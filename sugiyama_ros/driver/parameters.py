@@ -6,7 +6,7 @@ an array of shape (N, P).
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -192,6 +192,47 @@ def check_for_filter(parameters: NDArray[np.float64]) -> None:
         if not (parameters[..., k] >= LEAST_NOISE).all():
             p = PARAMETERS[k]
             raise InputError(f"parameter {p.name}: a filter needs noise; give {LEAST_NOISE:g} to {p.upper:g} {p.unit}")
+
+
+def read_pairs(text: str, where: str) -> dict[str, str]:
+    """Texts of the values in ``KEY=VALUE[,KEY=VALUE]``, by key. Raises InputError, also for a key that comes twice."""
+    found: dict[str, str] = {}
+    for pair in filter(None, (part.strip() for part in text.split(","))):
+        key, equals, value = (part.strip() for part in pair.partition("="))
+        if not key or not equals:
+            raise InputError(f"{where}: {pair} is not NAME=VALUE; give each value as NAME=VALUE, with commas between")
+        if key in found:
+            raise InputError(f"{where}: {key} is given twice; give it once")
+        found[key] = value
+    return found
+
+
+def read_numbers(
+    texts: Mapping[str, str], parameters: Sequence[Parameter], where: str, may_be_zero: bool = False
+) -> dict[str, float]:
+    """Values of parameters from their texts, each within its bounds. Raises InputError.
+
+    may_be_zero: whether 0 is allowed beyond the bounds too, because it switches something off.
+    """
+    declared, found = {p.name: p for p in parameters}, {}
+    for name, text in texts.items():
+        if name not in declared:
+            raise InputError(f"{where}: {name[:40]!r} is not known; the parameters are {', '.join(declared)}")
+        p = declared[name]
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not p.lower <= value <= p.upper and not (may_be_zero and value == 0.0):
+            unit = "" if p.unit == "1" else f" {p.unit}"
+            raise InputError(f"{where}: {name} is {text or 'empty'}; give {p.lower:g} to {p.upper:g}{unit}")
+        found[name] = value
+    return found
+
+
+def read_parameters(texts: Iterable[str], where: str) -> dict[str, float]:
+    """Values of a driver's parameters by name, from texts ``NAME=VALUE``. Raises InputError."""
+    return read_numbers(read_pairs(",".join(texts), where), PARAMETERS, where)
 
 
 def horizon_at(period_s: float) -> int:

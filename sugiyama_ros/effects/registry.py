@@ -7,14 +7,14 @@ parameters of every law and the parameters of every effect. An effect whose stre
 Another package adds an effect with an entry point of the group ``sugiyama_ros.effects`` that points to an ``Effect``.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from sugiyama_ros import plugins
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.driver.parameters import COUNT, PARAMETERS, Parameter
+from sugiyama_ros.driver.parameters import COUNT, PARAMETERS, Parameter, read_numbers, read_pairs
 from sugiyama_ros.effects.effect import STAGES, Effect, Values
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.laws.registry import LAWS, PAPERS
@@ -203,25 +203,20 @@ def _check_companions(rows: Array, name: str) -> None:
             raise InputError(f"effect {name}: {larger} must be larger than {smaller}")
 
 
-def read_parameter(text: str, where: str) -> tuple[str, float]:
-    """Name and value of a parameter from ``NAME=VALUE``. Raises InputError."""
-    name, _, value = text.partition("=")
-    try:
-        return name, float(value)
-    except ValueError:
-        raise InputError(f"{where} {text}: is not NAME=VALUE with a number as value") from None
-
-
-def read_effect(text: str, where: str) -> tuple[str, dict[str, float]]:
-    """Name of an effect and values of its parameters from ``NAME:PARAMETER=VALUE[,PARAMETER=VALUE]``.
-
-    Raises InputError.
-    """
-    name, _, pairs = text.partition(":")
-    try:
-        return name, {k: float(v) for k, _, v in (pair.partition("=") for pair in pairs.split(","))}
-    except ValueError:
-        raise InputError(f"{where} {text}: is not NAME:PARAMETER=VALUE[,PARAMETER=VALUE]{_parameters(name)}") from None
+def read_effects(texts: Iterable[str], where: str) -> dict[str, dict[str, float]]:
+    """Values of effects by name, from texts ``NAME:PARAMETER=VALUE[,PARAMETER=VALUE]``. Raises InputError."""
+    found: dict[str, dict[str, float]] = {}
+    for text in texts:
+        name, _, pairs = text.partition(":")
+        if name in found:
+            raise InputError(
+                f"{where} {text}: {name} is given twice; give all its values together, with commas between"
+            )
+        declared = effect(name).parameters
+        found[name] = read_numbers(read_pairs(pairs, f"{where} {text}"), declared, f"{where} {text}", may_be_zero=True)
+        if not found[name]:
+            raise InputError(f"{where} {text}: is not NAME:PARAMETER=VALUE[,PARAMETER=VALUE]{_parameters(name)}")
+    return found
 
 
 def _parameters(name: str) -> str:

@@ -18,7 +18,8 @@ from sugiyama_ros.filters.bicycle import Plane, PlaneSamples, PlaneTrace, plane_
 from sugiyama_ros.filters.chain import chain_parameters
 from sugiyama_ros.filters.state import STATE, Drivers, State, scene_at, step_for
 from sugiyama_ros.results import BLUE, Result, figure
-from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M
+from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M, LONGEST_M
+from sugiyama_ros.trajectories.assemble import check_possible
 from sugiyama_ros.trajectories.centre_line import CentreLine
 
 if TYPE_CHECKING:
@@ -64,6 +65,11 @@ class PlaneTrack:
         for name, given in (("x_m", self.x_m), ("y_m", self.y_m), ("heading", heading), ("ahead_m", ahead)):
             if t == 0 or given.shape[0] != t or given.ndim != (2 if name == "ahead_m" else 1):
                 raise InputError(f"{name}: has shape {given.shape}; give one value, or one row, for each sample")
+            if np.isinf(given).any():
+                raise InputError(
+                    f"{name}: is infinite at sample {int(np.argwhere(np.isinf(given))[0, 0])}; give NaN there"
+                )
+            check_possible({name: given.ravel()}, "samples")
         identity = np.tile(np.arange(vehicles), (t, 1)) if self.identity is None else self.identity
         own: Array = np.column_stack([self.x_m, self.y_m, heading])
         length: Array = np.tile(np.broadcast_to(self.length_m, vehicles).astype(np.float64), (t, 1))
@@ -77,7 +83,11 @@ def plane_track(
     ahead_m: ArrayLike | None = None,
     length_m: float = DEFAULT_LENGTH_M,
 ) -> PlaneTrack:
-    """Make a track of what numpy can make arrays of; ``ahead_m`` may be (T,) of one vehicle."""
+    """Make a track of what numpy can make arrays of; ``ahead_m`` may be (T,) of one vehicle. Raises InputError."""
+    if not 0.0 < length_m < LONGEST_M:
+        raise InputError(
+            f"length_m: {length_m:g} is no length of a vehicle; give a number above 0 and below {LONGEST_M:g}"
+        )
     turned = None if heading is None else np.asarray(heading, np.float64)
     ahead = None if ahead_m is None else np.asarray(ahead_m, np.float64)
     if ahead is not None and ahead.ndim == 1:

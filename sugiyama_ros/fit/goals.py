@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints, Mask
-from sugiyama_ros.effects.registry import ROW, effect, read_effect, switch_on
+from sugiyama_ros.driver.parameters import read_numbers, read_pairs
+from sugiyama_ros.effects.registry import ROW, effect, switch_on
 from sugiyama_ros.errors import InputError
 
 #: The goal of everybody who slows down for nothing.
@@ -75,9 +76,9 @@ class Goal:
 def read_goal(text: str, where: str) -> Goal:
     """Read a goal from ``NAME:place=PLACE[,speed=SPEED][,deceleration=B][,lane=LANE]``. Raises InputError."""
     name, _, pairs = text.partition(":")
-    lanes = [pair.partition("=")[2] for pair in pairs.split(",") if pair.startswith("lane=")]
-    numbers = ",".join(pair for pair in pairs.split(",") if not pair.startswith("lane="))
-    return goal_from(name, {**read_effect(f"{name}:{numbers}", where)[1], "lane": lanes[0] if lanes else ""})
+    texts, where = read_pairs(pairs, f"{where} {text}"), f"{where} {text}"
+    lane = texts.pop("lane", "")
+    return goal_from(name, {**read_numbers(texts, effect(_EFFECT).parameters, where), "lane": lane})
 
 
 def goals_from(given: Any) -> tuple[Goal, ...]:

@@ -13,8 +13,9 @@ from sugiyama_ros.filters.first_look import steps_between
 from sugiyama_ros.filters.online import NOBODY, Estimate, Learnt, OnlineFilter
 from sugiyama_ros.nodes.base.cdr_messages import NS
 from sugiyama_ros.nodes.base.qos import DEPTH
-from sugiyama_ros.nodes.base.samples import LONGEST_M, UNKNOWN_LEADER, Sample
+from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER, Sample
 from sugiyama_ros.nodes.keeper import Kept
+from sugiyama_ros.trajectories.about import LONGEST_M
 
 #: How far ahead [s] a path is predicted, unless asked otherwise.
 AHEAD_S = 5.0

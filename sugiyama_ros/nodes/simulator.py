@@ -10,7 +10,7 @@ from sugiyama_msgs.srv import SetDriver
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.controllers.registry import controlled_by
 from sugiyama_ros.driver.parameters import COUNT, NAMES, defaults
-from sugiyama_ros.effects.registry import ROW, read_effect
+from sugiyama_ros.effects.registry import ROW, read_effects
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model_file import ModelFile, read_model
 from sugiyama_ros.nodes.base import incoming
@@ -149,8 +149,7 @@ class SimulatorNode(Source):
             length_m=() if given == (0.0,) else given,
         )
         texts = self.texts("effects", "NAME:PARAMETER=VALUE[,...], each")
-        effects = dict(read_effect(text, "effects") for text in texts)
-        rows = changed(self._drivers(vehicles, model), {}, effects)
+        rows = changed(self._drivers(vehicles, model), {}, read_effects(texts, "effects"))
         numbers = self.vehicles("controlled", "numbers of vehicles that the controller drives; -1: none")
         controller = option("controller", "", "NAME[:KEY=VALUE[,...]]: what drives the controlled vehicles")
         controlled = controlled_by(numbers or None, controller or None)

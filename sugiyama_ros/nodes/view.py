@@ -27,7 +27,8 @@ from sugiyama_msgs.srv import AddEffect, RemoveEffect
 
 from sugiyama_ros.driver.parameters import population
 from sugiyama_ros.effects.effect import Extent
-from sugiyama_ros.effects.registry import EFFECTS, effect
+from sugiyama_ros.effects.registry import EFFECTS, effect, read_effects
+from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN
 from sugiyama_ros.filters.online import OnlineFilter, warm_up
 from sugiyama_ros.formats.truth import namespace
@@ -209,10 +210,9 @@ class View(Node):
         if not self.vehicles:
             return
         try:
-            pairs = [part.split("=") for part in values.split(",") if part.strip()]
-            found = {key.strip(): float(value) for key, value in pairs}
-        except ValueError:
-            self.said = f"{values}: give name=value, with commas between"
+            found = read_effects([f"{name}:{values}"], "add")[name]
+        except InputError as error:
+            self.said = str(error)
             return
         request = AddEffect.Request(effect=name, name=list(found), value=list(found.values()))
 

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 DEFAULT_LENGTH_M = 4.33
 #: Source of what the package simulates, until it is read from a file.
 SIMULATED = "simulated drivers"
+#: Length [m] of a vehicle from which on a number is taken for damage: trains are shorter.
+LONGEST_M = 1000.0
 View = Literal["end", "whole"]
 Reference = Literal["centre", "front", "rear"]
 Leaders = Literal["found", "given"]

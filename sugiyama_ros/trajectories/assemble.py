@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
-from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M, About, Reference, checksum_of_parts
+from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M, LONGEST_M, About, Reference, checksum_of_parts
 from sugiyama_ros.trajectories.jumps import FASTEST, jumps_noted, wrong_ring
 from sugiyama_ros.trajectories.labels import Labels, labels, labels_of, matched, numbered, same_label
 from sugiyama_ros.trajectories.leaders import (
@@ -33,8 +33,6 @@ _MOST_DOUBLE = 0.01
 _SAME_M = 0.01
 #: Lengths [m] of a vehicle that differ by more are noted.
 _LENGTH_VARIES_M = 0.5
-#: Length [m] beyond which a number is taken for damage.
-_LONGEST_M = 1000.0
 #: Time [s] beyond which a number is taken for damage: the year 2106.
 LATEST_S = 2.0**32
 # Numbers from which on nothing can be measured, by the end of a column's name: limit, unit, and what lies beyond.
@@ -324,7 +322,7 @@ def _lengths(table: _Table, start: Ints) -> _Table:
         usual = np.full(int(start[-1]), DEFAULT_LENGTH_M)
         return table._replace(number={**table.number, "length_m": usual}, about=table.about.noting(note))
     given = table.number["length_m"]
-    given = np.where((given > 0.0) & (given < _LONGEST_M), given, np.nan)
+    given = np.where((given > 0.0) & (given < LONGEST_M), given, np.nan)
     low, high = np.fmin.reduceat(given, start[:-1]), np.fmax.reduceat(given, start[:-1])
     length: Array = low.copy()
     for run in np.flatnonzero(high > low).tolist():

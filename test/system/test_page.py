@@ -469,7 +469,7 @@ def test_every_control_of_the_live_page(browser, recorded, tmp_path):
         strength.fill("much")
         strength.press("Enter")
         page.get_by_role("button", name="add").click()
-        page.get_by_text("much: give name=value").wait_for()
+        page.get_by_text("much is not NAME=VALUE").wait_for()
         strength.fill("c0=0.1, c2=0.001")
         strength.press("Enter")
         page.get_by_role("button", name="add").click()

@@ -191,14 +191,23 @@ def test_the_python_interface() -> None:
     assert found.steering[-1] == pytest.approx(2.5 / 36.6, abs=0.02)
     assert len(found.to_frame()) == 150
     assert found.plot() is not None
-    for bad in (
-        {"heading": turned[:9]},
-        {"ahead_m": turned[:9]},
-        {"parameters": {"l_r": -1.0}},
-        {"parameters": {"v": 1.0}},
+    gone, far = turned.copy(), turned.copy()
+    gone[7], far[7] = -np.inf, 1e131
+    for bad, told in (
+        ({"heading": turned[:9]}, "heading: has shape"),
+        ({"ahead_m": turned[:9]}, "ahead_m: has shape"),
+        ({"parameters": {"l_r": -1.0}}, "l_r: -1 m; give"),
+        ({"parameters": {"v": 1.0}}, "'v' is not known"),
+        ({"heading": gone}, "heading: is infinite at sample 7"),
+        ({"ahead_m": gone}, "ahead_m: is infinite at sample 7"),
+        ({"ahead_m": far}, "ahead_m is impossible in 1 of 150 rows"),
+        ({"length_m": -1.0}, "length_m: -1 is no length of a vehicle"),
+        ({"length_m": np.nan}, "length_m: nan is no length of a vehicle"),
     ):
-        with pytest.raises(InputError):
+        with pytest.raises(InputError, match=told):
             sg.filter_plane(x_m, y_m, circle, 0.1, **bad)
+    with pytest.raises(InputError, match="x_m: is infinite at sample 7"):
+        sg.filter_plane(gone, y_m, circle, 0.1)
 
 
 def test_effects_that_the_filter_does_not_know_are_refused() -> None:

@@ -15,12 +15,13 @@ from sugiyama_ros.driver.parameters import (
     SIGMA_NU,
     V_STAR,
     defaults,
+    read_parameters,
 )
 from sugiyama_ros.driver.utility import ACTIONS, UTILITY_ROW, boltzmann_mean, preferences, scratch_for, utilities
 from sugiyama_ros.effects import perception_threshold
 from sugiyama_ros.effects.control import add_components
 from sugiyama_ros.effects.effect import STAGES, UTILITY, Extent, Seen, takes_preferences
-from sugiyama_ros.effects.registry import EFFECTS, ROW, active, effect, index_of, switch_on
+from sugiyama_ros.effects.registry import EFFECTS, ROW, active, effect, index_of, read_effects, switch_on
 from sugiyama_ros.effects.shared import bump
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.causal import filter_chain
@@ -354,3 +355,35 @@ def test_a_bump_is_the_raised_cosine_that_the_pages_show_and_goes_the_short_way_
     np.testing.assert_allclose(found, expected, atol=1e-15)
     ring = nowhere._replace(position=5.0, circumference=100.0)
     assert bump(ring, 100.0, 30.0) == pytest.approx(bump(nowhere._replace(position=105.0), 100.0, 30.0), abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("texts", "told"),
+    [
+        (["drag:c0=0.1,c0=0.2"], "--effect drag:c0=0.1,c0=0.2: c0 is given twice"),
+        (["drag:c0=0.1", "drag:c1=0.2"], "--effect drag:c1=0.2: drag is given twice"),
+        (["drag"], r"is not NAME:PARAMETER=VALUE.*; drag has c0 \("),
+        (["drag:c9=1"], "'c9' is not known; the parameters are c0"),
+        (["drag:c0=nan"], "c0 is nan; give -2 to 5 m/s"),
+        (["drag:c0=1e9"], "c0 is 1e9; give -2 to 5 m/s"),
+        (["drag:0.3"], "0.3 is not NAME=VALUE"),
+    ],
+)
+def test_texts_of_effects_that_say_nothing_clear_are_refused(texts, told):
+    with pytest.raises(InputError, match=told):
+        read_effects(texts, "--effect")
+
+
+def test_0_switches_an_effect_off_also_beyond_its_bounds():
+    assert read_effects(["reaction_delay:delay=0", "drag: c0 = 0.3 , c2=0.01"], "") == {
+        "reaction_delay": {"delay": 0.0},
+        "drag": {"c0": 0.3, "c2": 0.01},
+    }
+
+
+def test_a_parameter_of_the_driver_is_given_once():
+    assert read_parameters(["v_star=8", "kappa_v=0.3"], "--set") == {"v_star": 8.0, "kappa_v": 0.3}
+    with pytest.raises(InputError, match="--set: v_star is given twice"):
+        read_parameters(["v_star=8", "v_star=9"], "--set")
+    with pytest.raises(InputError, match=r"--set: v_star is 900; give 0\.5 to 80 m/s"):
+        read_parameters(["v_star=900"], "--set")

@@ -203,9 +203,11 @@ def test_one_class_with_one_goal_is_the_fit_of_one_driver_for_all(short, work):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("exit", "is not NAME:PARAMETER=VALUE"),
+        ("exit", "give numbers for place"),
         ("exit:speed=8", "give numbers for place"),
-        ("exit:place=500,colour=3", "give numbers for place, and no others than"),
+        ("exit:place=500,colour=3", "'colour' is not known; the parameters are deceleration, place, speed"),
+        ("exit:place=500,place=600", "place is given twice"),
+        ("exit:place=500,lane=1,lane=2", "lane is given twice"),
         ("through:place=500", "is no name"),
         ("exit:place=500,deceleration=0", "give a number above 0"),
         ("exit:place=500,speed=900", "speed"),

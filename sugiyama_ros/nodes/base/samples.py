@@ -9,12 +9,11 @@ from sugiyama_ros.driver.line import TIME_GAP_S, attention
 from sugiyama_ros.filters.chain import NO_LINE
 from sugiyama_ros.filters.online import NOBODY
 from sugiyama_ros.road import Road
+from sugiyama_ros.trajectories.about import LONGEST_M
 from sugiyama_ros.trajectories.placing import Positions
 
 #: Leader of a vehicle whose leader is not in view; nobody knows whether there is one.
 UNKNOWN_LEADER = -2
-#: Length [m] that no vehicle has.
-LONGEST_M = 1000.0
 
 
 class Sight(NamedTuple):
