@@ -9,6 +9,7 @@ from pathlib import Path
 
 from bokeh.server.server import Server
 from tornado.ioloop import IOLoop, PeriodicCallback
+from tornado.web import ErrorHandler
 
 from sugiyama_ros.errors import SugiyamaError
 from sugiyama_ros.nodes.base import environment
@@ -112,6 +113,8 @@ def _server(view: View, host: str, port: int) -> tuple[Server, str]:
             address=host,
             port=port,
             auth_provider=guard,
+            # a file of such a name cannot even be looked for
+            extra_patterns=[(r".*%00.*", ErrorHandler, {"status_code": 404})],
             allow_websocket_origin=["*"],
             websocket_max_message_size=_LARGEST_MESSAGE,
             http_server_kwargs={"max_body_size": _LARGEST_MESSAGE, "max_header_size": _LARGEST_HEADER},

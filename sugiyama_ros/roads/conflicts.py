@@ -5,7 +5,9 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from sugiyama_ros.arrays import Array, Mask
+from sugiyama_ros.arrays import Array, Ints, Mask
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.jit import kernel
 from sugiyama_ros.roads.network import Conflict, Lanelet, Network
 
 #: Middle lines that are nearer than this [m] leave no room for two vehicles: a car is about 2 m wide.
@@ -14,8 +16,14 @@ CLEARANCE_M = 2.5
 _OF_WIDTH = 0.8
 # Way [m] between the points of a middle line at which it is compared with others.
 _STEP_M = 0.5
-# Pieces of a line that are compared with others at a time.
-_PIECES = 64
+# Points are not compared with pieces of a line that are farther away [m].
+_FAR_M = 2.0 * CLEARANCE_M
+# Length [m] of all lanes together, at most.
+_LONGEST_M = 1e6
+# Squares [m] in which lines are looked for that may be near; wider than the clearance.
+_SQUARE_M = 5.0
+# Pairs of lanes that may be near: on average of each lane, and beside. A large crossing has about 15 for each lane.
+_MOST_EACH, _MOST_BESIDE = 15, 2_000
 # An area that begins this near [m] to the start of a lane begins there.
 _AT_END_M = 1e-6
 
@@ -90,19 +98,50 @@ def conflicts_of_geometry(
 
 
 def _areas(network: Network) -> _Areas:
-    """Where each two lanes are near, that are not side by side."""
+    """Where each two lanes are near, that are not side by side. Raises InputError for a road that is too large."""
+    if (length_m := sum(lane.length_m for lane in network.lanes)) > _LONGEST_M:
+        raise InputError(
+            f"lanes: {length_m / 1e3:.0f} km in all are more than {_LONGEST_M / 1e3:.0f} km; cut out a part"
+        )
     sampled = [_sampled(lane) for lane in network.lanes]
-    low = np.array([one.point.min(axis=0) for one in sampled]) - 0.5 * CLEARANCE_M
-    high = np.array([one.point.max(axis=0) for one in sampled]) + 0.5 * CLEARANCE_M
     areas: _Areas = {}
-    for i, lane in enumerate(network.lanes):
-        overlap = ((low[i] <= high[i + 1 :]) & (low[i + 1 :] <= high[i])).all(axis=1)
-        for j in (i + 1 + np.flatnonzero(overlap)).tolist():
-            other = network.lanes[j]
-            if other.name not in (lane.left, lane.right) and lane.name not in (other.left, other.right):
-                clearance = min(CLEARANCE_M, 0.5 * _OF_WIDTH * (lane.width_m + other.width_m))
-                areas[i, j] = [*_near(sampled[i], sampled[j], clearance)]
+    for i, j in _may_be_near(sampled, network):
+        lane, other = network.lanes[i], network.lanes[j]
+        if other.name not in (lane.left, lane.right) and lane.name not in (other.left, other.right):
+            clearance = min(CLEARANCE_M, 0.5 * _OF_WIDTH * (lane.width_m + other.width_m))
+            areas[i, j] = [*_near(sampled[i], sampled[j], clearance)]
     return areas
+
+
+def _may_be_near(sampled: Sequence[_Sampled], network: Network) -> list[tuple[int, int]]:
+    """Numbers of each two lanes that are in the same square of the plane. Raises InputError for too many of them."""
+    square, lane = _squares(sampled)
+    most, found = _MOST_EACH * len(sampled) + _MOST_BESIDE, np.zeros(0, dtype=np.int64)
+    for step in range(1, len(lane)):
+        same = square[step:] == square[:-step]
+        if not same.any():
+            break
+        found = np.unique(np.concatenate((found, (lane[:-step] * len(sampled) + lane[step:])[same])))
+        if len(found) > most:
+            name = network.lanes[int(lane[:-step][same][0])].name
+            raise InputError(
+                f"lane {name}: {step + 1} or more lanes lie over one another, and more than {most} pairs of the"
+                f" {len(sampled)} lanes meet; give a road whose lanes lie beside one another"
+            )
+    return [divmod(pair, len(sampled)) for pair in found.tolist()]
+
+
+def _squares(sampled: Sequence[_Sampled]) -> tuple[Ints, Ints]:
+    """Number of each square in or beside which a lane has points, and of the lane (R,), sorted; each pair once."""
+    point = np.concatenate([one.point for one in sampled])
+    lane = np.repeat(np.arange(len(sampled)), [len(one.s) for one in sampled])
+    # points that are near have their middle in a square of both
+    reach = 0.5 * CLEARANCE_M + _STEP_M
+    corner = np.concatenate([point + np.array([x, y]) for x in (-reach, reach) for y in (-reach, reach)])
+    cell = np.floor((corner - point.min(axis=0)) / _SQUARE_M).astype(np.int64)
+    _, square = np.unique(cell[:, 0] * (cell[:, 1].max() + 2) + cell[:, 1], return_inverse=True)
+    both = np.unique(square.astype(np.int64) * len(sampled) + np.tile(lane, 4))
+    return both // len(sampled), both % len(sampled)
 
 
 def _sampled(lane: Lanelet) -> _Sampled:
@@ -133,20 +172,30 @@ def _near(one: _Sampled, other: _Sampled, clearance: float) -> Iterator[_Area]:
 def _distance(point: Array, line: _Sampled) -> tuple[Array, Array]:
     """Distance (K,) [m] of points to a line, infinite where it is large, and the place [m] on the line."""
     distance, place = np.full(len(point), np.inf), np.full(len(point), np.nan)
-    for first in range(0, len(line.s) - 1, _PIECES):
-        part = slice(first, first + _PIECES + 1)
-        corner, s = line.point[part], line.s[part]
-        low, high = corner.min(axis=0) - 2.0 * CLEARANCE_M, corner.max(axis=0) + 2.0 * CLEARANCE_M
-        rows = np.flatnonzero(((point >= low) & (point <= high)).all(axis=1))
-        way = np.diff(corner, axis=0)
-        to = point[rows, None, :] - corner[:-1]
-        along = np.clip((to * way).sum(axis=2) / (way**2).sum(axis=1), 0.0, 1.0)
-        far = np.hypot(*np.moveaxis(to - along[:, :, None] * way, 2, 0))
-        k, best = np.arange(len(rows)), far.argmin(axis=1)
-        nearer = far[k, best] < distance[rows]
-        rows, k, best = rows[nearer], k[nearer], best[nearer]
-        distance[rows], place[rows] = far[k, best], s[best] + along[k, best] * np.diff(s)[best]
+    _compare(point, line.point, line.s, distance, place)
     return distance, place
+
+
+@kernel(allocates=False)
+def _compare(point: Array, corner: Array, s: Array, distance: Array, place: Array) -> None:
+    """Fill in the distance (K,) [m] of points to the nearest piece of a line, and the place [m] there."""
+    piece = s[1] - s[0]
+    for k in range(len(point)):
+        x, y = point[k, 0], point[k, 1]
+        m = 0
+        while m < len(corner) - 1:
+            to_x, to_y = x - corner[m, 0], y - corner[m, 1]
+            beyond = np.hypot(to_x, to_y) - _FAR_M
+            if beyond > 0.0:
+                # no piece is longer, so none before this one is nearer
+                m += max(int(beyond / piece), 1)
+                continue
+            way_x, way_y = corner[m + 1, 0] - corner[m, 0], corner[m + 1, 1] - corner[m, 1]
+            along = min(max((to_x * way_x + to_y * way_y) / (way_x * way_x + way_y * way_y), 0.0), 1.0)
+            far = np.hypot(to_x - along * way_x, to_y - along * way_y)
+            if far < distance[k]:
+                distance[k], place[k] = far, s[m] + along * (s[m + 1] - s[m])
+            m += 1
 
 
 def _runs(mask: Mask) -> Iterator[tuple[int, int]]:

@@ -715,6 +715,13 @@ def test_beyond_this_machine_the_page_asks_for_a_token(recorded, tmp_path):
         assert cookie.startswith(f"sugiyama_token_{port}=")
         assert {"HttpOnly", "SameSite=Strict"} <= set(cookie.split("; "))
         # junk is refused, and not repeated in the log
+        for nothing in (
+            "/static/%00",
+            "/static/js/bokeh.min.js%00",
+            "/static/..%2f..%2fetc%2fpasswd",
+            "/static/nothing",
+        ):
+            assert ask(nothing)[0] in (403, 404)
         for _ in range(50):
             ask("/" + "x" * 5000)
         junk("127.0.0.2", port, b"\xff" * 100_000)

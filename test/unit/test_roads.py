@@ -1,5 +1,7 @@
 """Roads as graphs: geometry, conflicts, readers, and the routes of vehicles."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -112,6 +114,40 @@ def test_lanes_that_part_follow_or_lie_side_by_side_do_not_meet() -> None:
     )
     found = {(one.lane, one.other) for one in conflicts_of_geometry(lanes)}
     assert found == {("turn", "back"), ("back", "turn")}
+
+
+def test_near_lanes_are_found_wherever_they_lie() -> None:
+    """Each two lanes that come nearer than the clearance are compared: all points with all points."""
+    rng = np.random.default_rng(4)
+    start, end = rng.uniform(-40.0, 40.0, (2, 25, 2))
+    lanes = [Lanelet(f"l{k}", *np.stack((start[k], end[k]), axis=1)) for k in range(25)]
+    points = [start[k] + np.linspace(0.0, 1.0, 2000)[:, None] * (end[k] - start[k]) for k in range(25)]
+    near = {
+        (i, j)
+        for i in range(25)
+        for j in range(25)
+        if i != j and np.hypot(*(points[i][:, None] - points[j]).transpose(2, 0, 1)).min() < CLEARANCE_M - 0.1
+    }
+    found = {(int(one.lane[1:]), int(one.other[1:])) for one in conflicts_of_geometry(lanes)}
+    assert near <= found
+    assert len(near) > 100
+
+
+def test_many_lanes_that_all_cross_are_refused_at_once() -> None:
+    way = np.linspace(0.0, 3.0, 1000)
+    lanes = [Lanelet(f"l{k}", np.array([0.0, 100.0]), np.array([a, 3.0 - a])) for k, a in enumerate(way.tolist())]
+    began = time.process_time()
+    with pytest.raises(
+        InputError, match="lanes lie over one another, and more than 17000 pairs of the 1000 lanes meet"
+    ):
+        conflicts_of_geometry(lanes)
+    assert time.process_time() - began < 10.0
+
+
+def test_a_road_that_is_too_large_for_the_plane_is_refused() -> None:
+    lanes = [Lanelet(f"l{k}", np.array([0.0, 9e4]), np.full(2, 10.0 * k)) for k in range(20)]
+    with pytest.raises(InputError, match="1800 km in all are more than 1000 km; cut out a part"):
+        conflicts_of_geometry(lanes)
 
 
 def test_roads_of_the_examples_have_the_conflicts_of_their_kind() -> None:
