@@ -8,6 +8,13 @@ import re
 
 #: Longest text of an error; the middle of a longer one is left out, so that the place and the cure stay.
 _LONGEST = 1000
+# Characters that steer a terminal, end a line, or turn the direction of what follows.
+_STEERS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]+")
+
+
+def harmless(text: str) -> str:
+    """The lines of a text with spaces in place of what would steer a terminal; names in files may hold anything."""
+    return "\n".join(_STEERS.sub(" ", line) for line in text.split("\n"))
 
 
 class SugiyamaError(Exception):
@@ -21,7 +28,7 @@ class SugiyamaError(Exception):
     """
 
     def __init__(self, text: str) -> None:
-        line = re.sub(r"[\x00-\x1f\x7f\x85\u2028\u2029]+", " ", text)
+        line = _STEERS.sub(" ", text)
         half = _LONGEST // 2
         super().__init__(line if len(line) <= _LONGEST else f"{line[:half]} ... {line[-half:]}")
 

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from sugiyama_ros.errors import harmless
 from sugiyama_ros.results import TextTable, to_json
 
 if TYPE_CHECKING:
@@ -27,14 +28,19 @@ _OPENS_S = 2.0
 _out, _err = Console(), Console(stderr=True)
 
 
+def _shown(text: str) -> str:
+    """A text as rich prints it: whatever it holds are characters, and neither markup nor commands to the terminal."""
+    return escape(harmless(text))
+
+
 def print_line(text: str) -> None:
     """Print a line of text, unbroken."""
-    _out.print(escape(text), soft_wrap=True, highlight=False)
+    _out.print(_shown(text), soft_wrap=True, highlight=False)
 
 
 def print_note(text: str) -> None:
     """Print a line of text to stderr, unbroken."""
-    _err.print(escape(text), soft_wrap=True, highlight=False)
+    _err.print(_shown(text), soft_wrap=True, highlight=False)
 
 
 def print_warnings(tracks: "Tracks") -> None:
@@ -53,7 +59,7 @@ def print_cautions(model: Path | None) -> None:
     from sugiyama_ros.fit.model_file import read_model
 
     for line in read_model(model).cautions:
-        print_note(f"caution: {model}: {line}")
+        print_note(f"caution: {model}: {' '.join(line.split())}")
 
 
 def print_table(table: TextTable, boxed: bool = True) -> None:
@@ -87,11 +93,11 @@ def _only(table: TextTable, columns: list[int]) -> TextTable:
 
 def _print_part(table: TextTable, boxed: bool) -> None:
     box = HEAVY_HEAD if boxed else None
-    shown = Table(title=escape(table.title) or None, title_justify="left", box=box)
+    shown = Table(title=_shown(table.title) or None, title_justify="left", box=box)
     for number, heading in enumerate(table.headings):
-        shown.add_column(escape(heading), justify="left" if number < table.left else "right")
+        shown.add_column(_shown(heading), justify="left" if number < table.left else "right")
     for row in table.rows:
-        shown.add_row(*("-" if cell == "nan" else escape(cell) for cell in row))
+        shown.add_row(*("-" if cell == "nan" else _shown(cell) for cell in row))
     Console(width=_WIDE).print(shown, highlight=False)
 
 
