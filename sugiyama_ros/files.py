@@ -75,33 +75,76 @@ def _key(about: os.stat_result) -> _Key:
 
 
 def read_json(path: Path) -> Any:
-    """Read a JSON document. Raises InputError."""
-    return _parsed(path, json.loads, "JSON")
+    """Read a JSON document. Raises InputError, also for a name that comes twice in an object."""
+
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        for name, value in pairs:
+            if name in found:
+                raise InputError(f"{path}: {name[:40]!r} is given twice; give it once")
+            found[name] = value
+        return found
+
+    def parse(text: str) -> Any:
+        try:
+            return json.loads(text, object_pairs_hook=once)
+        except json.JSONDecodeError as error:
+            raise _not(path, "JSON", error.lineno, error.msg) from None
+
+    return _parsed(path, parse, "JSON")
 
 
 def read_yaml(path: Path) -> Any:
-    """Read a YAML document without aliases. Raises InputError."""
+    """Read a YAML document without aliases. Raises InputError, also for a key that comes twice in a mapping."""
     # Imported here: a document in JSON needs no YAML.
     import yaml
 
     # libyaml, if it is installed, is ten times faster
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
+    def check(text: str) -> None:
+        # Of each open collection: the keys so far, none of a list, and whether a key comes next.
+        keys: list[set[str] | None] = []
+        is_key: list[bool] = []
+        # The events come one by one. Only the loader below goes into lists within lists, by recursion.
+        for event in yaml.parse(text, Loader=loader):
+            if isinstance(event, yaml.AliasEvent):
+                raise InputError(f"{path}: has aliases (*name), which are not read; write out what they stand for")
+            if isinstance(event, yaml.CollectionEndEvent):
+                keys.pop(), is_key.pop()
+            if not isinstance(event, yaml.NodeEvent):
+                continue
+            if keys and (seen := keys[-1]) is not None:
+                if is_key[-1] and isinstance(event, yaml.ScalarEvent):
+                    if event.value in seen:
+                        line = event.start_mark.line + 1 if event.start_mark else 0
+                        raise InputError(f"{path}:{line}: {event.value[:40]!r} is given twice; give it once")
+                    seen.add(event.value)
+                is_key[-1] = not is_key[-1]
+            if isinstance(event, yaml.CollectionStartEvent):
+                keys.append(set() if isinstance(event, yaml.MappingStartEvent) else None)
+                is_key.append(True)
+            if len(keys) > _DEEPEST:
+                raise InputError(f"{path}: lists and mappings lie more than {_DEEPEST} deep; not read")
+
     def parse(text: str) -> Any:
         try:
-            depth = 0
-            # The events come one by one. Only the loader below goes into lists within lists, by recursion.
-            for event in yaml.parse(text, Loader=loader):
-                if isinstance(event, yaml.AliasEvent):
-                    raise InputError(f"{path}: has aliases (*name), which are not read; write out what they stand for")
-                depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-                if depth > _DEEPEST:
-                    raise InputError(f"{path}: lists and mappings lie more than {_DEEPEST} deep; not read")
+            check(text)
             return yaml.load(text, Loader=loader)
-        except (yaml.YAMLError, LookupError, TypeError, AttributeError) as error:  # of "!!int ''", LookupError
-            raise ValueError("is no YAML") from error
+        except yaml.MarkedYAMLError as error:
+            mark = error.problem_mark or error.context_mark
+            raise _not(path, "YAML", mark.line + 1 if mark else 0, error.problem or error.context or "") from None
+        except yaml.YAMLError as error:
+            raise _not(path, "YAML", 0, getattr(error, "reason", "")) from None
+        except (ValueError, LookupError, TypeError, AttributeError):  # of "2001-99-99", "!!int ''"
+            raise _not(path, "YAML", 0, "a date, or a value with a tag (!!), is none") from None
 
     return _parsed(path, parse, "YAML")
+
+
+def _not(path: Path, kind: str, line: int, why: str) -> InputError:
+    """The error to raise for a document that is not of a kind, in a line if that is known."""
+    return InputError(f"{path}{f':{line}' if line else ''}: is no {kind}: {why or 'damaged'}; correct it")
 
 
 def _parsed(path: Path, parse: Callable[[str], Any], kind: str) -> Any:
@@ -120,7 +163,7 @@ def _parsed(path: Path, parse: Callable[[str], Any], kind: str) -> Any:
     try:
         return parse(content.decode())
     except (ValueError, OverflowError, RecursionError):
-        raise InputError(f"{path}: is no {kind}; give a file that sugiyama has written") from None
+        raise InputError(f"{path}: is no {kind} in UTF-8; give a file that sugiyama has written") from None
 
 
 def number(value: Any, where: str) -> float:

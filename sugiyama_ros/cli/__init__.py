@@ -5,6 +5,7 @@ line and exit code 2, Ctrl-C with exit code 130. This file imports nothing that 
 commands are loaded ends the program in good order too.
 """
 
+import errno
 import os
 import signal
 import sys
@@ -69,7 +70,8 @@ def _cause_outside(error: Exception) -> str | None:
     """What the user reads where the system refused something; None for an error of the program itself."""
     if isinstance(error, OSError) and error.errno is not None:
         where = error.filename if error.filename is not None else "the output"
-        return f"{where}: {error.strerror or error}; free some space, or choose another place"
+        cure = "check the name" if error.errno == errno.ENOENT else "free some space, or choose another place"
+        return f"{where}: {error.strerror or error}; {cure}"
     if (reason := nowhere_to_compile(error)) is not None:
         return reason
     if isinstance(error, ZeroDivisionError) and (names := _effects_of_others()):

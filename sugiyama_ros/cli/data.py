@@ -17,11 +17,18 @@ from sugiyama_ros.progress import stage
 from sugiyama_ros.results import TextTable, to_json
 
 if TYPE_CHECKING:
+    from sugiyama_ros.formats.choices import Choices
     from sugiyama_ros.formats.convert import Part
     from sugiyama_ros.formats.mcap_reader import BagInfo
 
 # Year in which stamps begin.
 _EPOCH = 1970
+
+
+_RoadFile = Annotated[
+    Path | None,
+    typer.Option("--road-file", help="Of vehicles in the plane: the road (Lanelet2, CommonRoad, SUMO or CSV)."),
+]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,10 +48,7 @@ class _ConvertOptions:
         str | None,
         typer.Option("--reference", help="What positions are of, if not as the format says: centre, front or rear."),
     ] = None
-    road_file: Annotated[
-        Path | None,
-        typer.Option("--road-file", help="Of vehicles in the plane: the road (Lanelet2, CommonRoad or CSV)."),
-    ] = None
+    road_file: _RoadFile = None
     recording: Annotated[str, typer.Option("--recording", help="Recordings to keep, separated by commas.")] = ""
     road: Annotated[str, typer.Option("--road", help="Roads to keep.")] = ""
     lane: Annotated[str, typer.Option("--lane", help="Lanes to keep.")] = ""
@@ -182,39 +186,44 @@ def info(
         typer.Argument(help="MCAP files, directories of rosbag2, or trajectories in any known format."),
     ],
     ring: Ring = None,
+    road_file: _RoadFile = None,
     as_json: Json = False,
 ) -> None:
     """Show what files contain.
 
     Of trajectories: vehicles, classes, lanes, time and leaders. Of an MCAP file: topics, as `ros2 bag info` does.
     """
+    from sugiyama_ros.formats.choices import Choices
+    from sugiyama_ros.formats.roads import read_road
+
+    choices = Choices(ring_m=ring, network=None if road_file is None else read_road(road_file))
     documents = []
     for number, file in enumerate(files):
         if number and not as_json:
             print_line("")
-        documents.append(_info(file, ring, as_json))
+        documents.append(_info(file, choices, as_json))
     if as_json:
         print_json(documents if len(documents) > 1 else documents[0])
 
 
-def _info(file: Path, ring: float | None, as_json: bool) -> dict[str, Any]:
+def _info(file: Path, choices: "Choices", as_json: bool) -> dict[str, Any]:
     """Describe one file as a document; print it, unless a document is wanted."""
     from sugiyama_ros.formats.measured import FORMAT as BAG
     from sugiyama_ros.formats.sheet import head_of
 
     if not BAG.recognise(head_of(file), file):
-        from sugiyama_ros.formats.choices import Choices
         from sugiyama_ros.formats.registry import format_of, read_tracks
 
-        document = {"format": format_of(file).name, **_document_of(read_tracks(file, Choices(ring_m=ring)))}
+        document = {"format": format_of(file).name, **_document_of(read_tracks(file, choices))}
         if not as_json:
             print_line(f"{'Format:':<13}{document['format']}")
             _print_tracks(document)
         return document
     from sugiyama_ros.formats.mcap_reader import Bag
 
-    if ring is not None:
-        raise InputError("--ring: a bag says itself which road it is about; leave out --ring")
+    for option, given in (("--ring", choices.ring_m), ("--road-file", choices.network)):
+        if given is not None:
+            raise InputError(f"{option}: a bag says itself which road it is about; leave out {option}")
     with Bag(file) as bag:
         about = bag.info()
     if not as_json:

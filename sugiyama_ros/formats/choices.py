@@ -18,7 +18,7 @@ COLUMNS = (*TEXTS, *NUMBERS, "leader", *FLAGS)
 #: Columns of the leader, in a table whose rows have a follower and the leader; and their gap.
 PAIRED = ("leader_vehicle", "leader_s_m", "leader_length_m", "leader_speed", "gap_m")
 # Columns that a map may name.
-_MAPPED = (*COLUMNS, "speed", *PAIRED)
+_MAPPED = (*COLUMNS, "position_m", "speed", *PAIRED)
 # Factors to metres or seconds, without their signs: from picoseconds to the largest units.
 _FACTORS = 1e-12, 1e12
 _REFERENCES: tuple[Reference, ...] = ("centre", "front", "rear")
@@ -82,6 +82,8 @@ def choices_of(said: Any, path: object) -> Choices:
     unknown = [name for name in said if name not in known]
     if unknown:
         raise InputError(f"{path}: {str(unknown[0])[:40]!r} is no column of tracks; choose among {', '.join(known)}")
+    if {"s_m", "position_m"} <= set(said):
+        raise InputError(f"{path}: s_m and position_m are both the position; give one of them")
     choices = Choices(
         columns={name: _column(path, name, said[name]) for name in _MAPPED if name in said},
         reference=_one_of(path, "reference", said.get("reference"), _REFERENCES),

@@ -82,7 +82,7 @@ def read_columns(sheet: Sheet, wanted: Mapping[str, Take], hint: str = "") -> Ro
 
 def is_number(name: str) -> bool:
     """Whether a column of tracks holds numbers."""
-    return name in NUMBERS or name == "measured" or name.endswith(("_s", "_m", "speed"))
+    return name in NUMBERS or name.endswith(("_s", "_m", "speed"))
 
 
 def text_of(columns: Mapping[str, Array | Labels], name: str) -> Labels:

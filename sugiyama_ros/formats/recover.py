@@ -56,11 +56,11 @@ def recover(path: Path, target: Target) -> Recovered:
     Raises InputError, OutputError.
     """
     path, output = Path(path), output_of(target)
-    output.check()
-    out = output.path
-    if out.exists() and out.samefile(path):
-        raise OutputError(f"{out}: is also read by this command; give another name for the output")
     with open_packed(path) as stream:
+        output.check()
+        out = output.path
+        if out.exists() and out.samefile(path):
+            raise OutputError(f"{out}: is also read by this command; give another name for the output")
         salvage = _Salvage(RecordFile(path, stream))
         with writing(output) as recovered:
             writer = Writer(recovered, chunk_size=256 << 10, compression=CompressionType.ZSTD)

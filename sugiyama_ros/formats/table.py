@@ -65,7 +65,8 @@ def read_table(path: Path, choices: Choices) -> Tracks:
 def _tracks_of_sheet(sheet: Sheet, choices: Choices, about: About) -> Tracks:
     """Read a plain table of any kind. Raises InputError."""
     wanted = _PLAIN | {
-        name: Take((column,), factor, optional=False) for name, (column, factor) in choices.columns.items()
+        "s_m" if name == "position_m" else name: Take((column,), factor, optional=False)
+        for name, (column, factor) in choices.columns.items()
     }
     # A row with a second place is a pair; a pair needs no names.
     names_vehicles = "vehicle" in choices.columns or sheet.find(*_PLAIN["vehicle"].names) is not None
@@ -84,7 +85,10 @@ def _tracks_of_sheet(sheet: Sheet, choices: Choices, about: About) -> Tracks:
             about = replace(about, leaders="given")
         else:
             del columns["leader"]
-    if sheet.find("s_m") is None and sheet.find("position_m") is not None and not _OF_PARTS & set(columns):
+    positions = choices.columns.keys() & {"s_m", "position_m"} or {
+        one for one in ("s_m", "position_m") if sheet.has(one)
+    }
+    if positions == {"position_m"} and not _OF_PARTS & set(columns):
         about = replace(about, view="whole")
     return put_together(columns, about, choices)
 

@@ -113,12 +113,12 @@ def _server(view: View, host: str, port: int) -> tuple[Server, str]:
             address=host,
             port=port,
             auth_provider=guard,
-            # a file of such a name cannot even be looked for
-            extra_patterns=[(r".*%00.*", ErrorHandler, {"status_code": 404})],
             allow_websocket_origin=["*"],
             websocket_max_message_size=_LARGEST_MESSAGE,
             http_server_kwargs={"max_body_size": _LARGEST_MESSAGE, "max_header_size": _LARGEST_HEADER},
         )
     except OSError as error:
         raise SugiyamaError(f"{host}, port {port}: {error.strerror}; choose others with --host and --port") from None
+    # Bokeh would look for a file of such a name, which Python refuses
+    server._tornado.add_handlers(".*", [(".*%00.*", ErrorHandler, {"status_code": 404})])
     return server, url

@@ -21,7 +21,7 @@ from sugiyama_ros.trajectories.leaders import (
     given_leaders,
 )
 from sugiyama_ros.trajectories.speeds import MOST_OFF, UNITS, Motion, difference
-from sugiyama_ros.trajectories.tracks import LINE, NOBODY, TEXTS, UNKNOWN, Tracks, starts
+from sugiyama_ros.trajectories.tracks import FLAGS, LINE, NOBODY, TEXTS, UNKNOWN, Tracks, starts
 
 Column: TypeAlias = Labels | ArrayLike
 Columns: TypeAlias = Mapping[str, Column]
@@ -140,8 +140,8 @@ def _table(columns: Columns, about: About) -> _Table:
     text: dict[str, Labels] = {}
     number: dict[str, Array] = {}
     for name, column in columns.items():
-        if name == "controlled" and isinstance(column, Labels):
-            number[name] = _yes_or_no(column, about)
+        if name in FLAGS and isinstance(column, Labels):
+            number[name] = _yes_or_no(name, column, about)
         elif isinstance(column, Labels):
             text[name] = labels(column.code, column.text)
         elif name in (*TEXTS, "leader"):
@@ -166,15 +166,18 @@ def _checksum(table: _Table) -> str:
     return checksum_of_parts((*recording.text, *vehicle.text, *numbers))
 
 
-def _yes_or_no(column: Labels, about: About) -> Array:
-    """1 where a text says yes, else 0, (R,). Raises InputError for a text that says neither."""
+def _yes_or_no(name: str, column: Labels, about: About) -> Array:
+    """1 where a text says yes, 0 where it says no, (R,). Raises InputError for a text that says neither.
+
+    Where nothing is said, a row was measured, and a vehicle is not controlled.
+    """
     found = [_SAYS.get(text.lower()) for text in column.text]
     if None in found:
         raise InputError(
-            f"{about.source or 'tracks'}: column controlled: {column.text[found.index(None)][:40]!r} says neither yes"
+            f"{about.source or 'tracks'}: column {name}: {column.text[found.index(None)][:40]!r} says neither yes"
             " nor no; give 1 or 0"
         )
-    return np.array([*found, 0.0], dtype=np.float64)[column.code]
+    return np.array([*found, float(name == "measured")], dtype=np.float64)[column.code]
 
 
 def _in_whole_runs(flag: Mask, run: Ints) -> Mask:

@@ -12,6 +12,7 @@ import pytest
 
 import sugiyama_ros as sg
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.tracks_parquet import write_tracks
 from sugiyama_ros.trajectories.tracks import Tracks
 
 
@@ -123,3 +124,32 @@ def test_a_model_is_in_sample_on_what_it_was_fitted_to(tracks: Tracks, tmp_path:
     sg.calibrate(read).save(tmp_path / "model.yaml")
     kinds = {one.name: one.kind for one in sg.compare(read, model=tmp_path / "model.yaml").models}
     assert kinds["file: base"] == "in_sample"
+
+
+def test_flags_are_read_back_from_every_table(tracks: Tracks, tmp_path: Path) -> None:
+    frame = tracks.to_frame().assign(measured=lambda f: f.index % 7 != 3, controlled=lambda f: f["vehicle"] == "2")
+    marked = sg.read(frame)
+    assert marked.measured is not None
+    for name in ("a.csv", "a.parquet"):
+        write_tracks(marked, tmp_path / name)
+        back = sg.read(tmp_path / name)
+        assert back.measured is not None
+        assert np.array_equal(back.measured, marked.measured)
+        assert back.controlled_names == marked.controlled_names == ["2"]
+    silent = frame.assign(measured=pd.array([None, *[0] * (len(frame) - 1)], "Int64"))
+    read = sg.read(silent)
+    assert read.measured is not None
+    assert int(read.measured.sum()) == 1
+    refused(lambda: sg.read(frame.assign(measured="maybe")), "column measured: 'maybe' says neither yes nor no")
+
+
+def test_a_map_of_columns_may_say_position_m_as_a_table_does(tracks: Tracks) -> None:
+    frame = tracks.to_frame()[["time_s", "vehicle", "s_m", "length_m"]]
+    plain = sg.read(frame.rename(columns={"s_m": "position_m"}))
+    renamed = frame.rename(columns={"s_m": "where", "vehicle": "who"})
+    names = {"time_s": "time_s", "vehicle": "who", "length_m": "length_m"}
+    mapped = sg.read(renamed, columns={**names, "position_m": {"column": "where", "factor": 1.0}})
+    assert mapped.about.view == plain.about.view == "whole"
+    assert np.array_equal(mapped.leader_row, plain.leader_row)
+    assert sg.read(renamed, columns={**names, "s_m": "where"}).about.view == "end"
+    refused(lambda: sg.read(renamed, columns={**names, "s_m": "where", "position_m": "where"}), "give one of them")

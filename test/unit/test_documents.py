@@ -106,6 +106,10 @@ def test_a_vehicle_has_a_number_that_ros_can_send(tmp_path: Path, key: str) -> N
         ("\t", "YAML"),
         ("a: !!int ''", "is no YAML"),
         ("? [1]\n: 2", "is no YAML"),
+        ("a: b: c", r"model.yaml:1: is no YAML: mapping values are not allowed"),
+        ("a: 1\nb: {c: 1, d: 2,\n  c: 3}", r"model.yaml:3: 'c' is given twice; give it once"),
+        ("a: [{b: 1}, {b: 1}]\nb: 1\na: 2", r"model.yaml:3: 'a' is given twice"),
+        ("x: \x00", "is no YAML: control characters are not allowed"),
     ],
 )
 def test_crafted_yaml(tmp_path: Path, text: str, words: str) -> None:
@@ -113,6 +117,20 @@ def test_crafted_yaml(tmp_path: Path, text: str, words: str) -> None:
     path.write_text(text)
     with pytest.raises(InputError, match=words):
         read_model(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("{", "diagnosis.json:1: is no JSON: Expecting property name"),
+        ('{"a": 1,\n "b": {"c": 1, "c": 2}}', "'c' is given twice; give it once"),
+    ],
+)
+def test_crafted_json(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "diagnosis.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=words):
+        read_diagnosis(path)
 
 
 def test_a_diagnosis_is_read_or_refused_whatever_stands_in_each_field(tmp_path: Path) -> None:

@@ -117,3 +117,15 @@ def test_the_command_takes_a_road(tmp_path: Path, network: Network, monkeypatch:
         cli.main()
     assert not end.value.code
     assert set(sg.read(output).lane.used()) == {"in1", "ring1_2", "out2", "in3", "ring3_4", "out4"}
+
+
+def test_info_takes_a_road(
+    tmp_path: Path, network: Network, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_road(network, tmp_path / "road.csv")
+    command = ["sugiyama", "info", str(interaction(tmp_path, network)), "--road-file", str(tmp_path / "road.csv")]
+    monkeypatch.setattr(sys, "argv", command)
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    assert not end.value.code
+    assert "Vehicles:    3" in capsys.readouterr().out

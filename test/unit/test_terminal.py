@@ -53,5 +53,11 @@ def test_cautions_of_a_model_steer_no_terminal(tmp_path: Path, capsys: pytest.Ca
     assert not STEERS.search(err)
 
 
+def test_a_bag_that_is_not_there_is_called_missing(tmp_path: Path) -> None:
+    (tmp_path / "nope.recovered.mcap").touch()
+    with pytest.raises(InputError, match="nope: cannot be read: No such file or directory; check the name"):
+        data.recover(tmp_path / "nope", overwrite=True)
+
+
 def test_an_error_steers_no_terminal() -> None:
     assert not STEERS.search(str(InputError(EVIL)))
