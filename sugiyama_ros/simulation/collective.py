@@ -4,7 +4,6 @@ The functions take the speeds and headways of all vehicles at all samples. So th
 alike.
 """
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,9 +81,9 @@ def wave_speed(speed: Array, headway_m: Array, leader: Ints, period_s: float) ->
     ahead = np.where(leader >= 0, np.take_along_axis(off, np.maximum(leader, 0), axis=1), np.nan)
     if not np.isfinite(ahead).any():
         return float("nan")
-    shared = np.array([np.nanmean(off[k:] * ahead[: samples - k]) for k in range(lags + 1)])
-    best = int(np.argmax(shared))
-    if best in (0, lags):
+    shared = np.array([_agreement(off[k:], ahead[: samples - k]) for k in range(lags + 1)])
+    best = int(np.argmax(np.where(np.isnan(shared), -np.inf, shared)))
+    if best in (0, lags) or np.isnan(shared[best - 1 : best + 2]).any():
         return float("nan")
     before, at, after = shared[best - 1 : best + 2]
     lag = (best + 0.5 * (before - after) / (before - 2.0 * at + after)) * period_s
@@ -108,9 +107,7 @@ def wave_speed_error(speed: Array, headway_m: Array, leader: Ints, period_s: flo
     for block in np.array_split(np.arange(len(speed)), count):
         rest = speed.copy()
         rest[block] = np.nan
-        with np.errstate(invalid="ignore"), warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # means of nothing, at lags at which all is left out
-            left_out.append(wave_speed(rest, headway_m, leader, period_s))
+        left_out.append(wave_speed(rest, headway_m, leader, period_s))
     return float(np.sqrt((count - 1) * np.var(left_out)))
 
 
@@ -125,7 +122,9 @@ def _wave_period(speed: Array, period_s: float) -> float:
     if not np.isfinite(off).any() or np.nanvar(off) < _LEAST_VARIANCE:
         return float("nan")
     samples = len(off)
-    shared = np.array([np.nanmean(off[k:] * off[: samples - k]) for k in range(samples // 2)])
+    every = np.array([_agreement(off[k:], off[: samples - k]) for k in range(samples // 2)])
+    lag = np.flatnonzero(np.isfinite(every))
+    shared = every[lag]
     negative = np.flatnonzero(shared < 0.0)
     if not len(negative):
         return float("nan")
@@ -135,7 +134,14 @@ def _wave_period(speed: Array, period_s: float) -> float:
     # among maxima of nearly the same height, the first maximum counts
     first = int(np.argmax(rest >= _NEARLY * rest.max()))
     falls = np.flatnonzero(np.diff(rest[first:]) < 0.0)
-    return float((negative[0] + first + (falls[0] if len(falls) else 0)) * period_s)
+    return float(lag[negative[0] + first + (falls[0] if len(falls) else 0)] * period_s)
+
+
+def _agreement(first: Array, second: Array) -> float:
+    """Mean product of two arrays; NaN where they are never known together."""
+    product = first * second
+    count = np.isfinite(product).sum()
+    return float(np.nansum(product) / count) if count else float("nan")
 
 
 def _off(speed: Array) -> Array:

@@ -72,3 +72,16 @@ def test_the_error_of_a_wave_follows_from_its_blocks_of_time():
     assert 0.2 < wave_speed_error(*both, PERIOD_S) < 2.0
     assert np.isnan(wave_speed_error(steady[:240], headway[:240], leader[:240], PERIOD_S))
     assert np.isnan(wave_speed_error(np.full_like(steady, 8.0), headway, leader, PERIOD_S))
+
+
+def test_samples_that_are_known_at_other_times_are_no_wave():
+    """At some lags no two samples are known together. Warnings are errors."""
+    speed, headway, leader = wave(-5.0)
+    speed[1::2] = np.nan
+    found = collective(speed, headway, leader, PERIOD_S)
+    assert found.mean_speed == pytest.approx(speed[::2].mean())
+    assert found.period_s == pytest.approx(RING_M / (speed[::2].mean() + 5.0), rel=0.05)
+    speed[6:] = np.nan
+    few = collective(speed, headway, leader, PERIOD_S)
+    assert np.isnan([few.wave_speed, few.period_s]).all()
+    assert few.mean_speed == pytest.approx(np.nanmean(speed))
