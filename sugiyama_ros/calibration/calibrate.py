@@ -89,12 +89,13 @@ def each_driver(
     The causal formulation makes two passes. The second pass gives the drivers ahead the parameters that the first pass
     found.
     """
-    passes, drivers = 1 if settings.formulation == "paper" else 2, len(_drivers(road))
+    is_paper, drivers = settings.formulation == "paper", len(_drivers(road))
+    passes = 1 if is_paper else 2
     fits: list[Fit] = []
     for number in range(passes):
         is_last = number == passes - 1
         options = SearchOptions(
-            bool(settings.is_regularised), settings.profiled and is_last, is_last, from_several=True
+            bool(settings.is_regularised), settings.profiled and is_last, is_last, from_several=is_paper
         )
         known, fits = {fit.vehicle: fit.parameters for fit in fits}, []
         for fit in calibrate(road, settings.formulation, settings.estimated, options, known=known, work=work):

@@ -70,10 +70,10 @@ def calibrate_tracks(
 
 
 def _quick(search: Job) -> Job:
-    """The search without errors, from a larger acceleration noise."""
+    """The search without errors, from several starts with a larger acceleration noise."""
     start = search.start.copy()
     start[SIGMA_A] = START_SIGMA_A
-    return replace(search, start=start, options=SearchOptions(with_errors=False))
+    return replace(search, start=start, options=SearchOptions(with_errors=False, from_several=True))
 
 
 class _DriversAhead:

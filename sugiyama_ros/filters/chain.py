@@ -6,10 +6,11 @@ from functools import cached_property
 
 import numpy as np
 
-from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.driver.parameters import NAMES, OMEGA_2, UTILITY, population
 from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.road import Road
 
 #: Vehicles in a chain: own, leader and the leader's leader.
 CHAIN = 3
@@ -22,6 +23,8 @@ NO_LINES = (*NO_LINE, *NO_LINE)
 #: What a driver sees besides the chain, as of ``Chain.around``, where there is nothing, and the number of its entries.
 NOTHING_AROUND = (*NO_REAR, *NO_LINES)
 AROUND = len(NOTHING_AROUND)
+# Time [s] over which a speed is measured, and part of the speeds that are not above the high one.
+_SPEED_OVER_S, _HIGH = 1.0, 0.99
 _WANDERING = tuple(e for e in EFFECTS.values() if e.wanders)
 
 
@@ -49,6 +52,21 @@ class Chain:
         """Number of samples up to the last one in which the driver is there."""
         there = np.flatnonzero(self.identity[:, 0] >= 0)
         return int(there[-1]) + 1 if len(there) else 0
+
+    def high_speed(self, counts: Mask) -> float:
+        """Return the speed [m/s] of the driver below which 99 % of the samples in ``counts`` (T,) are.
+
+        NaN if no speed is known.
+        """
+        at = np.flatnonzero(counts & np.isfinite(self.position_m[:, 0]))
+        if len(at) < 2:
+            return math.nan
+        steps = max(1, round(_SPEED_OVER_S / (self.period_s * float(np.median(np.diff(at))))))
+        after, before = at[steps:], at[:-steps]
+        same = self.identity[after, 0] == self.identity[before, 0]
+        after, before = after[same], before[same]
+        way = Road(self.circumference_m).difference(self.position_m[after, 0], self.position_m[before, 0])
+        return float(np.quantile(way / (self.period_s * (after - before)), _HIGH)) if len(way) else math.nan
 
 
 @dataclass(frozen=True)

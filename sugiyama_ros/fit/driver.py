@@ -142,7 +142,7 @@ class SearchOptions:
 
     is_regularised: whether to add the paper's regularisation; profiled: whether intervals come from the profile
     likelihood; with_errors: whether to compute the standard errors of the causal formulation, which takes as long as a
-    search; from_several: whether the paper's formulation searches from several starts.
+    search; from_several: whether the search begins at several starts, and the highest maximum counts.
     """
 
     is_regularised: bool = False
@@ -241,11 +241,10 @@ class Job:
 def carry_out(job: Job) -> Fit:
     """Search for one driver's parameters, with the options of the job."""
     options = job.options
-    if job.perceived is not None:
-        # the first of equal maxima counts
-        found = max((_fit(one, _ENOUGH) for one in _started(job)), key=_height)
-    else:
-        found = _fit(job, ENOUGH_CAUSAL, is_careful=options.with_errors)
+    enough = ENOUGH_CAUSAL if job.perceived is None else _ENOUGH
+    is_careful = job.perceived is None and options.with_errors
+    # the first of equal maxima counts
+    found = max((_fit(one, enough, is_careful) for one in _started(job)), key=_height)
     if options.profiled:
         found = replace(found, interval=_profile(job, found))
     if options.is_regularised:
@@ -321,12 +320,29 @@ def _fit(job: Job, enough: float, is_careful: bool = False) -> Fit:
 
 def _started(job: Job) -> Iterator[Job]:
     """The search from each of its starts."""
+    several = job.options.from_several
+    if job.followed is not None:
+        yield job
+        own = _own_speed(job.followed) if several and V_STAR in job.places else math.nan
+        if not math.isnan(own):
+            yield _from(job, own, float(job.start[KAPPA_V]))
+        return
     both = np.isin((V_STAR, KAPPA_V), job.places).all()
-    for v_star, kappa_v in _STARTS if job.options.from_several and both else _STARTS[:1]:
-        start = job.start.copy()
-        start[V_STAR] *= v_star
-        start[KAPPA_V] *= kappa_v
-        yield replace(job, start=start)
+    for v_star, kappa_v in _STARTS if several and both else _STARTS[:1]:
+        yield _from(job, v_star * float(job.start[V_STAR]), kappa_v * float(job.start[KAPPA_V]))
+
+
+def _from(job: Job, v_star: float, kappa_v: float) -> Job:
+    start = job.start.copy()
+    start[V_STAR], start[KAPPA_V] = v_star, kappa_v
+    return replace(job, start=start)
+
+
+def _own_speed(followed: DriverChains) -> float:
+    """High speed [m/s] of a driver; NaN if it is not known."""
+    counts = followed.scored or tuple(np.ones(len(chain.position_m), np.bool_) for chain in followed.chains)
+    speeds = [chain.high_speed(one) for chain, one in zip(followed.chains, counts, strict=True)]
+    return max((speed for speed in speeds if not math.isnan(speed)), default=math.nan)
 
 
 def _height(fit: Fit) -> float:

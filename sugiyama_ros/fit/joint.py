@@ -14,11 +14,11 @@ from typing import NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Mask
-from sugiyama_ros.driver.parameters import NAMES
+from sugiyama_ros.driver.parameters import NAMES, V_STAR
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.first_look import PER_MEDIAN
-from sugiyama_ros.fit.coordinates import ENOUGH_CAUSAL, Damping, coordinate, damped, damped_step
+from sugiyama_ros.fit.coordinates import ENOUGH_CAUSAL, Damping, coordinate, damped, damped_step, limits
 from sugiyama_ros.fit.driver import calibrate
 from sugiyama_ros.fit.driver_types import LEAST_STD
 from sugiyama_ros.fit.model import Model, PointwiseDensity, evaluate, moved
@@ -226,9 +226,28 @@ def start_model(data: Recorded, individual: Sequence[int]) -> Model:
 
 def fit_nearly(data: Recorded, individual: Sequence[int], work: Executor, start: Model | None = None) -> JointFit:
     """Fit every driver alone, but not to the end, because other searches follow, or because the fit is far behind."""
+    return max(_nearly(data, individual, work, start), key=lambda near: near.log_likelihood)
+
+
+def _nearly(data: Recorded, individual: Sequence[int], work: Executor, start: Model | None) -> list[JointFit]:
+    """Fit every driver alone, but not to the end, from each start.
+
+    The likelihood has several maxima along the desired speed. Far above a driver's own speed, the driver model says
+    little, and noise explains the acceleration. At the own speed of drivers who are held up, the search may end below
+    the desired speed. So drivers start at their own speed, and again at a desired speed that is typical.
+    """
     first = start or start_model(data, individual)
     near = _by_paper(data, first, work) if start is None else None
-    return maximise(data, _start(data, near or first, work), work, iterations=10 if near is None else 3, enough=20.0)
+    starts = [near or first]
+    if start is None and near is None and V_STAR in individual:
+        rows = first.rows.copy()
+        own = np.array([chain.high_speed(counts) for chain, counts in zip(data.chains, data.scored, strict=True)])
+        rows[:, V_STAR] = np.where(
+            np.isnan(own), rows[:, V_STAR], np.clip(own, *limits([V_STAR], data.lower, data.upper))
+        )
+        starts.insert(0, replace(first, rows=rows, ahead=rows))
+    most = 10 if near is None else 3
+    return [maximise(data, _start(data, one, work), work, iterations=most, enough=20.0) for one in starts]
 
 
 def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: Model | None = None) -> JointFit:
@@ -236,10 +255,22 @@ def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: M
 
     The second fit uses the first fit's parameters for the drivers ahead, and the spread of its drivers. A third fit
     uses those of the second, because drivers who are fitted alone to a few samples say little of their errors. It is
-    repeated as long as the likelihood rises by it.
+    repeated as long as the likelihood rises by it. Of the populations to which several starts lead, the likeliest
+    counts.
     """
-    near = fit_nearly(data, individual, work, start)
-    return _settled(data, _as_one_population(data, _as_one_population(data, near, work), work), work)
+    populations = (
+        _settled(data, _as_one_population(data, _as_one_population(data, near, work), work), work)
+        for near in _nearly(data, individual, work, start)
+    )
+    return max(populations, key=_evidence)
+
+
+def _evidence(found: JointFit) -> float:
+    """Log-likelihood [nats] of all samples, of drivers who are draws from the population (Laplace's approximation)."""
+    own, std = len(found.model.individual), np.array(found.model.prior_std)
+    information = np.array([s.information.sum(axis=0)[:own, :own] for s in found.slopes])
+    narrower = np.linalg.slogdet(np.eye(own) + information * np.outer(std, std))[1]
+    return found.objective - 0.5 * float(narrower.sum())
 
 
 def _as_one_population(data: Recorded, near: JointFit, work: Executor) -> JointFit:
