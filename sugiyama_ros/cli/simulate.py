@@ -134,6 +134,11 @@ def simulate(options: _SimulateOptions) -> None:
     for c in document.get("collisions", ()):
         ends = "they are taken off the road" if options.scene else "the run ends there"
         print_note(f"collision: vehicle {c['vehicle']} into {c['leader']} at {c['time_s']:.1f} s; {ends}")
+    if options.scene and document["collisions"] and document["duration_s"] < options.duration - options.period:
+        print_note(
+            f"the run ends at {document['duration_s']:.1f} s, when nobody is left: {document['came_through']} of"
+            f" {vehicles} came through; take another --seed, or other drivers"
+        )
 
 
 def _on_one_lane(
@@ -210,6 +215,7 @@ def _at_scene(
     write_tracks(run.measured, output)
     document = {
         "scene": options.scene,
+        "duration_s": float(run.rows.time_s.max()),
         "came_through": int(run.arrived.sum()),
         "longest_stop_s": run.longest_stop_s,
         "rows": len(run.measured),

@@ -277,20 +277,31 @@ def scene(network: Network, paths: Sequence[Path], rows: OnNetwork) -> tuple[Int
     return leader, {"leader_shift_m": shift, **{name: line[:, k] for k, name in enumerate(LINE)}}
 
 
-def tracks_on(network: Network, paths: Sequence[Path], rows: OnNetwork, about: About) -> Tracks:
+class InView(NamedTuple):
+    """What the drivers of vehicles on a network see, row by row, as `see_scene` fills it in.
+
+    leader: (R,), number of the vehicle ahead, -1 for none; shift: (R,) [m]; line: (R, 4).
+    """
+
+    leader: Ints
+    shift: Array
+    line: Array
+
+
+def tracks_on(rows: OnNetwork, seen: InView, about: About) -> Tracks:
     """Make tracks of vehicles on a network, which have numbers, with what their drivers see. Raises InputError."""
-    ahead, seen = scene(network, paths, rows)
     count = int(rows.vehicle.max(initial=-1)) + 1
     called = [str(k) for k in range(count)]
-    leader = labels(np.where(ahead < 0, count, rows.vehicle[ahead]).astype(np.int32), [*called, NOBODY])
     columns: dict[str, Labels | Array] = {
         "vehicle": labels(rows.vehicle.astype(np.int32), called),
-        "leader": leader,
+        "leader": labels(np.where(seen.leader < 0, count, seen.leader).astype(np.int32), [*called, NOBODY]),
         "time_s": rows.time_s,
         "s_m": rows.place,
         "length_m": rows.length,
+        "leader_shift_m": seen.shift,
     }
-    return assemble({**columns, **seen}, replace(about, leaders="given"))
+    lines = {name: seen.line[:, k] for k, name in enumerate(LINE)}
+    return assemble({**columns, **lines}, replace(about, leaders="given"), checked=False)
 
 
 def _speeds(rows: OnNetwork, there: Ints) -> Array:

@@ -20,7 +20,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.results import Result
 from sugiyama_ros.road import Road
 from sugiyama_ros.roads.network import Network, Path
-from sugiyama_ros.roads.scene import Moment, OnNetwork, lines_of_routes, see_scene, signals_at, tracks_on
+from sugiyama_ros.roads.scene import InView, Moment, OnNetwork, lines_of_routes, see_scene, signals_at, tracks_on
 from sugiyama_ros.simulation.drive import Order, Setting, Traffic, Wandering, begin, drive, measure, move, remember
 from sugiyama_ros.simulation.result import Collision
 from sugiyama_ros.simulation.simulator import Clock
@@ -80,6 +80,8 @@ class JunctionRun(Result):
         The drivers; vehicles have their numbers.
     rows : OnNetwork
         Measured places of the vehicles, row by row.
+    seen : InView
+        What the drivers saw, in the same rows.
     place_m, speed : ndarray, shape (R,)
         True places [m] and speeds [m/s] in the same rows.
     collisions : tuple of Collision
@@ -94,6 +96,7 @@ class JunctionRun(Result):
     paths: tuple[Path, ...]
     travellers: tuple[Traveller, ...]
     rows: OnNetwork
+    seen: InView
     place_m: Array
     speed: Array
     collisions: tuple[Collision, ...]
@@ -102,8 +105,8 @@ class JunctionRun(Result):
 
     @cached_property
     def measured(self) -> Tracks:
-        """What a camera would have measured, with what the drivers see."""
-        return tracks_on(self.network, self.paths, self.rows, About(source=SIMULATED, view="end"))
+        """What a camera would have measured, with what the drivers saw."""
+        return tracks_on(self.rows, self.seen, About(source=SIMULATED, view="end"))
 
     def headline(self) -> str:
         """Say how many came through."""
@@ -184,11 +187,11 @@ class JunctionSimulator:
         here = self.on_road
         return measure(self.place[here], Road(), self._rows[here], self._rng, self._rng_of_effects)
 
-    def see(self) -> tuple[Ints, Array, Array]:
-        """What those on the network see, as of ``see_scene``: the number of each leader, shift [m] and line."""
+    def see(self) -> InView:
+        """What those on the network see."""
         here = self.on_road
         leader, shift, line = self._see(here)
-        return np.where(leader >= 0, here[leader], -1) if len(here) else leader, shift, line
+        return InView(np.where(leader >= 0, here[leader], -1) if len(here) else leader, shift, line)
 
     def change(self, drivers: Array) -> None:
         """Let the drivers drive otherwise from the next period on; rows (N, width) at the reference period.
@@ -331,9 +334,10 @@ class JunctionSimulator:
 def simulate_junction(simulator: JunctionSimulator, duration_s: float) -> JunctionRun:
     """Run a simulator, and keep every sample; ends early when nobody is left.
 
-    duration_s: duration [s].
+    duration_s: duration [s]. Raises InputError if nobody comes.
     """
-    parts: list[tuple[Array, Array, Array, Array, Array]] = []
+    parts: list[tuple[Ints, Array, Array, Array, Array]] = []
+    views: list[InView] = []
     collisions: list[Collision] = []
     standing_s, longest_s = 0.0, 0.0
     for t in range(round(duration_s / simulator.period_s) + 1):
@@ -344,20 +348,23 @@ def simulate_junction(simulator: JunctionSimulator, duration_s: float) -> Juncti
             break
         time = np.full(len(here), simulator.time_s)
         measured = simulator.measure() if len(here) else np.empty(0)
-        parts.append((here.astype(np.float64), time, measured, simulator.place[here], simulator.speed[here]))
+        parts.append((here, time, measured, simulator.place[here], simulator.speed[here]))
+        views.append(simulator.see())
         red, _ = signals_at(simulator.network, simulator.time_s)
         moves = not len(here) or red.any() or bool((np.abs(simulator.speed[here]) > 0.5).any())
         standing_s = 0.0 if moves else standing_s + simulator.period_s
         longest_s = max(longest_s, standing_s)
+    if not simulator.entered.any():
+        enough_s = math.ceil(min(one.time_s for one in simulator.travellers)) + 10
+        raise InputError(f"duration: {duration_s:g} s: nobody comes so early; give at least {enough_s} s")
     vehicle, time_s, measured, place, speed = (np.concatenate(part) for part in zip(*parts, strict=True))
-    vehicle = vehicle.astype(np.int64)
+    length_m = simulator.length_m[vehicle]
     return JunctionRun(
         network=simulator.network,
         paths=simulator.paths,
         travellers=simulator.travellers,
-        rows=OnNetwork(
-            vehicle, simulator._route[vehicle], time_s, measured, simulator.length_m[vehicle], np.zeros_like(vehicle)
-        ),
+        rows=OnNetwork(vehicle, simulator._route[vehicle], time_s, measured, length_m, np.zeros_like(vehicle)),
+        seen=InView(*(np.concatenate(part) for part in zip(*views, strict=True))),
         place_m=place,
         speed=speed,
         collisions=tuple(collisions),

@@ -16,6 +16,7 @@ from sugiyama_ros.trajectories.labels import Labels, labels, labels_of, matched,
 from sugiyama_ros.trajectories.leaders import (
     LEAST_AGREEMENT,
     agreement,
+    are_trusted,
     check_gaps,
     find_leaders,
     given_leaders,
@@ -104,7 +105,7 @@ def led(tracks: Tracks, named: Labels | None, compared: bool = True) -> Tracks:
         return replace(tracks, leader_row=find_leaders(tracks))
     given = given_leaders(tracks, named)
     whose = tracks.about.leaders
-    if whose == "given" and (not compared or tracks.leader_shift_m is not None):
+    if are_trusted(tracks) or (whose == "given" and not compared):
         return replace(tracks, leader_row=given)
     found = find_leaders(tracks)
     share = agreement(found, given)

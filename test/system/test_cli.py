@@ -253,6 +253,22 @@ def test_a_collision_is_reported(sugiyama, here):
     assert (code, err) == (0, f"collision: {where}; the run ends there\n")
 
 
+def test_a_scene_that_ends_with_collisions_says_so(sugiyama, here):
+    command = ("simulate", "-o", "a.parquet", "--scene", "roundabout", "--vehicles", "10")
+    command += ("--effect", "ignored_yield:share=1")
+    code, out, _ = sugiyama(*command, "--json")
+    told = json.loads(out)
+    assert code == 0
+    assert told["duration_s"] < 250.0
+    code, _, err = sugiyama(*command, "--overwrite")
+    *collisions, last = err.splitlines()
+    assert (code, len(collisions)) == (0, len(told["collisions"]))
+    assert last == (
+        f"the run ends at {told['duration_s']:.1f} s, when nobody is left: {told['came_through']} of 10 came through;"
+        " take another --seed, or other drivers"
+    )
+
+
 def test_output_that_nobody_reads_is_no_error(here):
     subprocess.run(
         [sys.executable, "-m", "sugiyama_ros.cli", "simulate", "-o", "a.mcap"], check=True, capture_output=True

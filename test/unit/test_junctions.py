@@ -9,15 +9,19 @@ import sugiyama_ros as sg
 from sugiyama_ros.driver.line import TIME_GAP_S, attention, time_over, time_to_line
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_NU, V_STAR, defaults, population
 from sugiyama_ros.effects.registry import ROW, switch_on
+from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.causal import filter_chain
 from sugiyama_ros.filters.chain import NOT_ADAPTED
 from sugiyama_ros.filters.extract import drives
 from sugiyama_ros.filters.online import OnlineFilter
+from sugiyama_ros.formats.tracks_parquet import write_tracks
 from sugiyama_ros.road import Road
 from sugiyama_ros.roads.examples import crossing, merge, roundabout
 from sugiyama_ros.roads.network import Lanelet, Network, Signal
 from sugiyama_ros.simulation.junction import JunctionSimulator, Traveller, demand, simulate_junction
+from sugiyama_ros.simulation.scenes import simulate_scene
 from sugiyama_ros.simulation.simulator import Clock, Simulator
+from sugiyama_ros.trajectories.leaders import gaps
 from sugiyama_ros.trajectories.stretches import stretches
 
 CLOCK = Clock(0.2)
@@ -107,6 +111,31 @@ def test_everybody_comes_through_and_nobody_collides(network, per_hour):
     # they do meet: without the lines, they collide
     reckless = run_on(network, 100, per_hour, 7, "ignored_yield", share=1.0)
     assert len(reckless.collisions) > 0 or network.signals
+
+
+@pytest.mark.parametrize(
+    ("scene", "count", "seed"), [("crossing", 22, 8011), ("signals", 60, 8006), ("merge", 60, 8006)]
+)
+def test_a_scene_keeps_who_led_whom(scene, count, seed, tmp_path):
+    """Measured gaps of vehicles that stand are below zero at times, and measured places then name another leader."""
+    run = simulate_scene(scene, defaults(count), seed, duration_s=250.0, period_s=1 / 3)
+    write_tracks(run.measured, tmp_path / "a.csv")
+    write_tracks(run.measured, tmp_path / "a.parquet")
+    assert (gaps(run.measured) < 0.0).mean() > 0.003
+    for tracks in (run.measured, sg.read(tmp_path / "a.csv"), sg.read(tmp_path / "a.parquet")):
+        led = {
+            (tracks.vehicle.at(k), round(float(tracks.time_s[k]), 6)): tracks.vehicle.at(int(j)) if j >= 0 else ""
+            for k, j in enumerate(tracks.leader_row.tolist())
+        }
+        for i, time, j in zip(run.rows.vehicle, run.rows.time_s, run.seen.leader, strict=True):
+            assert led[str(i), round(float(time), 6)] == (str(j) if j >= 0 else "")
+
+
+def test_a_run_in_which_nobody_comes_says_how_long_it_must_be():
+    with pytest.raises(InputError, match=r"^duration: 1 s: nobody comes so early; give at least (\d+) s$") as said:
+        simulate_scene("roundabout", defaults(22), 0, duration_s=1.0)
+    enough = float(str(said.value).split()[-2])
+    assert len(simulate_scene("roundabout", defaults(22), 0, duration_s=enough).measured) > 10
 
 
 def test_nobody_drives_through_a_red_signal():
