@@ -134,7 +134,7 @@ def simulate(options: _SimulateOptions) -> None:
     for c in document.get("collisions", ()):
         ends = "they are taken off the road" if options.scene else "the run ends there"
         print_note(f"collision: vehicle {c['vehicle']} into {c['leader']} at {c['time_s']:.1f} s; {ends}")
-    if options.scene and document["collisions"] and document["duration_s"] < options.duration - options.period:
+    if options.scene and document["collisions"] and document["duration_s"] < options.duration - experiment.period_s:
         print_note(
             f"the run ends at {document['duration_s']:.1f} s, when nobody is left: {document['came_through']} of"
             f" {vehicles} came through; take another --seed, or other drivers"

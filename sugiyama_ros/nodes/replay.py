@@ -14,11 +14,10 @@ from sugiyama_ros.formats.measured import FORMAT as BAG
 from sugiyama_ros.formats.measured import stamp_ns
 from sugiyama_ros.formats.registry import format_of, known_suffixes, read_tracks
 from sugiyama_ros.formats.truth import read_truth
-from sugiyama_ros.nodes.base.incoming import RINGS_M
 from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER, PositionSamples
 from sugiyama_ros.nodes.source import Source, TrueTopics, answer
-from sugiyama_ros.road import Road
+from sugiyama_ros.road import RINGS_M, Road
 from sugiyama_ros.trajectories.dense import DenseTracks, whole_road
 from sugiyama_ros.trajectories.placing import Positions
 from sugiyama_ros.trajectories.time_base import on_time_base, period_of

@@ -15,13 +15,14 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import Candidate, not_searched
 from sugiyama_ros.diagnosis.compare import Compared, Comparison
 from sugiyama_ros.diagnosis.diagnose import Diagnosis, Round
-from sugiyama_ros.diagnosis.table import ALPHA, Difference, Entry, errors, gains, is_better
+from sugiyama_ros.diagnosis.table import Difference, Entry, errors, gains, is_better
 from sugiyama_ros.diagnosis.where import Located
 from sugiyama_ros.driver.parameters import CONSTANTS, KAPPA_V, V_STAR, Parameter
 from sugiyama_ros.effects.discovered_force import COVARIATES
 from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.fit.standard_errors import own_stds
 from sugiyama_ros.laws.registry import LAWS, PAPERS, name_of
+from sugiyama_ros.statistics import ALPHA
 
 # Time between two samples of a picture [s], and largest number of points of one run in the document.
 _EVERY_S, _MOST = 0.6, 20_000

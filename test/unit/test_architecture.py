@@ -46,7 +46,19 @@ ORDER = (
 SMALL = {"interrupts", "progress", "plugins", "results"}
 #: Rooms that may import only these rooms, whatever the order allows.
 ALONE = {
-    "page": {"arrays", "diagnosis", "driver", "effects", "files", "fit", "formats", "laws", "progress", "results"}
+    "page": {
+        "arrays",
+        "diagnosis",
+        "driver",
+        "effects",
+        "files",
+        "fit",
+        "formats",
+        "laws",
+        "progress",
+        "results",
+        "statistics",
+    }
     | {"road", "trajectories"},
     "__init__": {"api", "controllers", "effects", "laws"},
 }
