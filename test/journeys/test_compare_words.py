@@ -62,6 +62,11 @@ def test_a_comparison_says_who_is_best_and_shows_six_rows(run, folder):
     document = json.loads(elsewhere.out)
     assert [one["name"] for one in document["models"] if one["kind"] == "given"] == ["file: drag"]
     assert document["headline"] == fresh.out.splitlines()[0]
+    assert document["given"]["fitted"][-2:] == ["v_star", "kappa_v"]
+    # the drivers of the file drive where and as often as they did
+    again = run("sugiyama simulate --model model.yaml --duration 10 -o again.csv --json")
+    assert json.loads(again.out)["vehicles"] == 4
+    assert run("sugiyama info again.csv --ring 45").code == 0
 
 
 def test_one_step_ahead_counts_followers_as_gains_do(run, folder):

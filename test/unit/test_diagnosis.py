@@ -116,6 +116,13 @@ def test_what_is_asked_for_is_added_whatever_the_data_say(nothing):
         diagnose(run.measured, add=("magic",), workers=2)
 
 
+def test_no_model_forecasts_clearly_worse_than_the_model_inside_it(hidden, nothing):
+    """Where one does, its fit or its forecast has failed."""
+    for _, d in (hidden, nothing):
+        for one in d.rounds:
+            assert not [e.name for e, won in one.gains.items() if won["all"].is_loss(len(one.gains))]
+
+
 def test_the_same_seed_gives_the_same_verdict(hidden):
     run, d = hidden
     again = diagnose(run.measured, most=1, workers=1, seed=3)
