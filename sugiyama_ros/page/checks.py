@@ -67,8 +67,10 @@ def check_title(d: Document, check: Document) -> str:
 
 def _other(d: Document, name: str) -> str:
     """Name of another law, or of another form of what was added."""
-    about = d.get("about", {}).get(name.removesuffix("_of_some"), {})
-    return named(d, name) if about.get("kind") == "effect" else model_name(name)
+    form = name.removesuffix("_of_some")
+    if d.get("about", {}).get(form, {}).get("kind") != "effect":
+        return model_name(name)
+    return f"{named(d, form)} of some drivers" if form != name else named(d, form)
 
 
 def check_values(check: Document) -> tuple[str, str, str]:

@@ -232,6 +232,13 @@ def test_models_in_tables_have_short_names() -> None:
     assert {name: short_name(name) for name in names} == names
 
 
+def test_a_form_of_what_was_added_says_that_only_some_drivers_have_it() -> None:
+    ahead = check("gain_of_slow_patch_of_some", 1.5, 0.0, unit="nats", p_value=0.3)
+    told = sentences(document("explained", [addition()], [ahead]))
+    said = "Slower stretch of road (slow_patch) of some drivers gains 1.5 nats more on unseen data (p 0.3)"
+    assert f"{said}: it may be ahead by chance." in told
+
+
 def test_nothing_that_explains_a_model_that_fails() -> None:
     d = document("not_explained", checks=[fails("correlation_of_innovations", 0.2, 0.0)])
     assert headline(d) == "Not explained: the model fails 1 of 3 checks, and no effect that was tried explains it."
