@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -59,9 +60,10 @@ def try_with(effects):
         row = switch_on(row, name, values)
     return recording.position_m[-1, 0], log_likelihood(chain_behind(recording, 0), row)
 try_with({})
+before = set(told)
 told.clear()
 found = try_with({name: {"k": 0.05} for name in names})
-print(json.dumps([found, sorted(early | told), len(EFFECTS)]))
+print(json.dumps([found, sorted(early | told), len(EFFECTS), sorted(before)]))
 """
 
 
@@ -74,8 +76,8 @@ def installed(tmp_path):
     (about / "entry_points.txt").write_text(ENTRIES)
     (tmp_path / "mine.py").write_text(MODULE)
 
-    def attempt(*names: str):
-        environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    def attempt(*names: str, environment=None):
+        environment = os.environ | (environment or {"PYTHONPATH": str(tmp_path)})
         command = [sys.executable, "-c", TRY, json.dumps(names)]
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
@@ -87,22 +89,37 @@ def installed(tmp_path):
 def test_only_the_effect_is_compiled_when_it_comes_changes_and_goes(installed):
     folder, attempt = installed
     file: Path = folder / "mine.py"
-    first, compiled, with_two = attempt("syrup", "gentle")
+    first, compiled, with_two, _ = attempt("syrup", "gentle")
     assert compiled == ["component.all_actions", "push"]
-    again, compiled, _ = attempt("syrup", "gentle")
+    again, compiled, *_ = attempt("syrup", "gentle")
     assert (again, compiled) == (first, [])
     # a comment is no change
     file.write_text(MODULE.replace("FACTOR = 1.0", "FACTOR = 1.0  # how much of it is left"))
     assert attempt("syrup", "gentle")[:2] == [first, []]
     # neither the function of the effect nor its file's other functions, but a constant of what it calls
     file.write_text(MODULE.replace("FACTOR = 1.0", "FACTOR = 0.5"))
-    changed, compiled, _ = attempt("syrup", "gentle")
+    changed, compiled, *_ = attempt("syrup", "gentle")
     assert compiled == ["push"]
     assert changed != first
     (folder / "mine-1.0.dist-info/entry_points.txt").unlink()
-    _, compiled, without = attempt()
+    _, compiled, without, _ = attempt()
     assert compiled == []
     assert without == with_two - 2
+
+
+def test_two_environments_over_one_installation_compile_nothing_for_each_other(installed, tmp_path_factory):
+    _, with_effects = installed
+    elsewhere = str(tmp_path_factory.mktemp("without"))
+
+    def without_effects():
+        return with_effects(environment={"PYTHONPATH": elsewhere})
+
+    first, base = with_effects("syrup", "gentle"), without_effects()
+    for _ in range(2):  # one after the other, and at the same time
+        with ThreadPoolExecutor(2) as both:
+            mine, plain = both.submit(with_effects, "syrup", "gentle"), both.submit(without_effects)
+        assert mine.result() == [first[0], [], first[2], []]
+        assert plain.result() == [base[0], [], first[2] - 2, []]
 
 
 def test_a_function_that_cannot_be_compiled_is_named_with_its_package(installed):
