@@ -1,11 +1,14 @@
 """The demo: it finds what was hidden, the published errors fall, and terminal and page say the same."""
 
 import json
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
+README = Path(__file__).parents[2] / "README.md"
 pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
 SUGIYAMA = [sys.executable, "-m", "sugiyama_ros.cli"]
 
@@ -27,6 +30,18 @@ def tell_alike(said, page):
         assert of_card in card
 
 
+def figures_of_readme(said):
+    """What README says of the demo, with the figures that it has printed."""
+    (found,) = said["verdict"]["effects"]
+    value, std = found["parameters"], found["parameters_std"]
+    before, after = (said["errors"][when]["free_run_10s_m"] for when in ("before", "after"))
+    return (
+        f"**{100.0 * value['reduction']:.1f} ± {100.0 * std['reduction']:.1f} % at"
+        f" {value['centre']:.1f} ± {std['centre']:.1f} m**."
+        f" The error of a forecast over 10 s fell from **{before:.1f} to {after:.1f} m**."
+    )
+
+
 def test_demo_finds_the_hidden_effect_and_the_published_error_falls(tmp_path):
     command = [*SUGIYAMA, "demo", "--hidden", "slow_patch", "--json"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=True)
@@ -42,5 +57,6 @@ def test_demo_finds_the_hidden_effect_and_the_published_error_falls(tmp_path):
     page = (tmp_path / "sugiyama-demo.html").read_text()
     assert "<dt>What was hidden</dt><dd>Slower stretch of road" in page
     tell_alike(said, page)
+    assert figures_of_readme(said) in re.sub(r"\s+", " ", README.read_text())
     assert said["messages_lost"] == 0
     assert (tmp_path / "sugiyama-demo.mcap").exists()
