@@ -3,14 +3,14 @@
 import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
+from sugiyama_ros.arguments import Numbers, checked
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.calibration.calibrate import calibrate_drivers
 from sugiyama_ros.calibration.lane_changes import lane_changes as lane_changes
@@ -57,10 +57,29 @@ if TYPE_CHECKING:
 FEW_STEPS = 3
 #: Bounds of settings of `simulate`.
 _SIMULATE = {"duration_s": (1.0, 1e9), "horizon": (1, 100), "seed": (0, math.inf), "spread": (0.0, 1.0)}
-#: Further settings of `calibrate`, and their defaults.
-_CALIBRATE: dict[str, Any] = {"classes": 0, "goals": {}, "seed": 0, "law": PAPERS, "scheduler": None}
 
 
+@dataclass(frozen=True)
+class _CalibrateSettings:
+    """Further settings of `calibrate`.
+
+    Parameters
+    ----------
+    classes : int, "auto" or "vehicle"
+    goals : mapping of str to mapping
+    seed : int
+    law : str
+    scheduler : str
+    """
+
+    classes: int | str = 0
+    goals: Any = field(default_factory=dict)
+    seed: int = 0
+    law: str = PAPERS
+    scheduler: str | None = None
+
+
+@checked()
 def read(
     source: "str | Path | Sequence[str | Path] | pandas.DataFrame",
     ring_m: float | None = None,
@@ -135,6 +154,7 @@ def _choices(
     return choices
 
 
+@checked(Experiment)
 def simulate(
     vehicles: int | None = None,
     *,
@@ -186,8 +206,8 @@ def simulate(
     (31, 3)
     """
     _check_names("simulate", settings, Experiment.__dataclass_fields__)
-    for field, bounds in _SIMULATE.items():
-        _check_within(field, settings.get(field), *bounds)
+    for name, bounds in _SIMULATE.items():
+        _check_within(name, settings.get(name), *bounds)
     file = None if model is None else drivers_of(Path(model), law)
     count = vehicles if vehicles is not None else 22 if file is None else len(file.vehicle)
     experiment = Experiment(**{**(file.conditions.of_experiment(count) if file is not None else {}), **settings})
@@ -203,6 +223,7 @@ def _usual_drivers(vehicles: int, law: str) -> Array:
     return rows if law == PAPERS else np.array([drive_by(row, law) for row in rows])
 
 
+@checked(_CalibrateSettings)
 def calibrate(
     tracks: Tracks | Simulation,
     formulation: Formulation = "causal",
@@ -255,23 +276,20 @@ def calibrate(
     >>> found.to_frame().shape
     (4, 12)
     """
-    _check_names("calibrate", settings, _CALIBRATE)
-    said = {**_CALIBRATE, **settings}
-    classes, goals = number_of_classes(said["classes"]), goals_from(said["goals"])
-    of_search = (said["seed"], said["law"], tuple(effects), classes, goals)
+    _check_names("calibrate", settings, _CalibrateSettings.__dataclass_fields__)
+    said = _CalibrateSettings(**settings)
+    _check_within("seed", said.seed, 0, math.inf)
+    classes, goals = number_of_classes(said.classes), goals_from(said.goals)
+    of_search = (said.seed, said.law, tuple(effects), classes, goals)
     asked = Settings(formulation, tuple(parameters), regularise, profile, *of_search)
     asked.check()
     with stages() as on:
-        return calibrate_drivers(_tracks(tracks), asked, said["scheduler"], partial(on, "calibrating"))
+        return calibrate_drivers(_tracks(tracks), asked, said.scheduler, partial(on, "calibrating"))
 
 
 def _tracks(given: Tracks | Simulation) -> Tracks:
     """A recording; of a simulation, what a camera would have measured."""
-    if isinstance(given, Simulation):
-        return given.measured
-    if not isinstance(given, Tracks):
-        raise InputError(f"recording: {type(given).__name__} is none; give what read or simulate returns")
-    return given
+    return given.measured if isinstance(given, Simulation) else given
 
 
 def _check_names(function: str, given: Mapping[str, Any], known: Iterable[str]) -> None:
@@ -286,6 +304,7 @@ def _check_within(name: str, value: float | None, lower: float, upper: float) ->
         raise InputError(f"{name}: {value:g} is not possible; give {lower:g}{most}")
 
 
+@checked()
 def compare(
     tracks: Tracks | Simulation,
     effects: Sequence[str] = (),
@@ -326,6 +345,7 @@ def compare(
     >>> compared.models[0].name
     'base'
     """
+    _check_within("seed", seed, 0, math.inf)
     given = read_model(Path(model)) if model is not None else None
     with stages() as advance:
         return comparison.compare(
@@ -333,6 +353,7 @@ def compare(
         )
 
 
+@checked()
 def diagnose(
     tracks: Tracks | Simulation,
     *,
@@ -378,6 +399,7 @@ def diagnose(
     The model is adequate: no check fails.
     """
     _check_within("simulations", simulations, 1, math.inf)
+    _check_within("seed", seed, 0, math.inf)
     names = () if add in (None, "auto") else (add,) if isinstance(add, str) else tuple(add or ())
     check_names(names)
     law_of(law)
@@ -394,14 +416,15 @@ def diagnose(
         )
 
 
+@checked()
 def filter_plane(
-    x_m: ArrayLike,
-    y_m: ArrayLike,
-    line: ArrayLike,
+    x_m: Numbers,
+    y_m: Numbers,
+    line: Numbers,
     period_s: float,
     *,
-    heading: ArrayLike | None = None,
-    ahead_m: ArrayLike | None = None,
+    heading: Numbers | None = None,
+    ahead_m: Numbers | None = None,
     length_m: float = DEFAULT_LENGTH_M,
     parameters: Mapping[str, float] | None = None,
 ) -> PlaneEstimates:
@@ -468,6 +491,7 @@ def _driver_and_car(given: Mapping[str, float]) -> tuple[Array, Array]:
     return driver, car
 
 
+@checked()
 def read_recording(path: str | Path) -> Recording:
     """Read what the estimators published in a bag that ``sugiyama run`` recorded.
 
@@ -496,6 +520,7 @@ def read_recording(path: str | Path) -> Recording:
     return recording.read_recording(Path(path))
 
 
+@checked()
 def report(run: str | Path, output: str | Path, diagnosis: Diagnosis | str | Path | None = None) -> Path:
     """Write an HTML page about a recorded run, as ``sugiyama report``.
 

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from sugiyama_ros.arguments import checked
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.calibration.result import Calibration
 from sugiyama_ros.driver.lane_change import LaneSpan
@@ -13,6 +14,7 @@ from sugiyama_ros.simulation.multilane import MultilaneRun
 from sugiyama_ros.trajectories.tracks import Tracks
 
 
+@checked()
 def lane_changes(
     tracks: Tracks | MultilaneRun,
     calibration: Calibration | None = None,

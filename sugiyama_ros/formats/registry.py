@@ -56,6 +56,8 @@ def read_tracks(source: Path | Sequence[Path], choices: Choices | None = None, n
     """Read a file or a folder of any known format, or several files as recordings. Raises InputError."""
     choices = choices or Choices()
     paths = [Path(source)] if isinstance(source, str | Path) else [Path(one) for one in source]
+    if not paths:
+        raise InputError("source: no file is given; give one or more")
     if len(paths) > 1:
         # a folder is a format of this registry
         from sugiyama_ros.formats.folder import read_files

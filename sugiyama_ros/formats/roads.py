@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from sugiyama_ros.arguments import checked
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.commonroad_road import read_commonroad_road
 from sugiyama_ros.formats.lanelet2 import read_lanelet2
@@ -12,6 +13,7 @@ from sugiyama_ros.formats.sumo_net import read_sumo_net
 from sugiyama_ros.roads.network import Network
 
 
+@checked()
 def read_road(path: str | Path) -> Network:
     """Read a road as a graph: lanes, places where they meet, and signals.
 

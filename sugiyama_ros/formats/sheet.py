@@ -2,7 +2,7 @@
 
 import csv
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -83,8 +83,10 @@ def text_sheet(path: Path, head: bytes, header: int = 1) -> Sheet | None:
 
 def head_of(path: Path) -> bytes:
     """The first bytes of a file, by which it is recognised; nothing of a folder."""
-    if path.is_dir():
-        return b""
+    # a name that no file can have is refused when it is opened
+    with suppress(OSError, ValueError):
+        if path.is_dir():
+            return b""
     with open_input(path) as stream:
         return stream.read(HEAD_BYTES)
 

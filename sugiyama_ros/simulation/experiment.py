@@ -16,8 +16,8 @@ from sugiyama_ros.simulation.simulator import Clock, Simulator, evenly, platoon,
 from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M
 from sugiyama_ros.trajectories.dense import MAX_SAMPLES
 
-# Vehicles on a road, at most.
-_MAX_VEHICLES = 100_000
+#: Vehicles on a road, at most.
+MAX_VEHICLES = 100_000
 
 
 @dataclass(frozen=True)
@@ -64,19 +64,23 @@ class Experiment:
     def check(self, vehicles: int) -> None:
         """Check that a number of vehicles can be simulated. Raises InputError."""
         for name, value, lower, upper in (
-            ("vehicles", vehicles, 1, _MAX_VEHICLES),
-            ("duration", self.duration_s, 0.0, 1e9),
-            ("gap", self.gap_m, 0.0, 1e6),
-            ("period", self.period_s, 1e-3, 1e3),
+            ("vehicles", vehicles, 1, MAX_VEHICLES),
+            ("duration_s", self.duration_s, 0.0, 1e9),
+            ("gap_m", self.gap_m, 0.0, 1e6),
+            ("period_s", self.period_s, 1e-3, 1e3),
             ("spread", self.spread, 0.0, 10.0),
         ):
             if not lower <= value <= upper:
                 raise InputError(f"{name}: {value:g} cannot be simulated; give {lower:g} to {upper:g}")
+        if self.duration_s > 0.0 and self.samples < 2:
+            raise InputError(
+                f"period_s: {self.period_s:g} s, but duration_s is {self.duration_s:g} s; give at least 2 samples"
+            )
         if self.start not in ("jam", "equal") or (self.start == "equal" and self.ring_m == 0.0):
             raise InputError(f"start: {self.start} is not possible here; give jam, or on a ring equal")
         if len(self.length_m) not in (0, 1, vehicles) or not all(0.0 < length < 100.0 for length in self.length_m):
             raise InputError(
-                f"lengths: {len(self.length_m)} lengths of {vehicles} vehicles; give one each, or one for all, above 0"
+                f"length_m: {len(self.length_m)} lengths of {vehicles} vehicles; give one each, or one for all, above 0"
                 " and below 100 m"
             )
         samples = vehicles * (int(self.duration_s / self.period_s) + 1)

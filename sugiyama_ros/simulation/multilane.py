@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from sugiyama_ros.arguments import checked
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.lane_change import (
     CHANGE_S,
@@ -51,8 +52,10 @@ from sugiyama_ros.driver.utility import (
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.jit import kernel
 from sugiyama_ros.results import Result
+from sugiyama_ros.simulation.experiment import MAX_VEHICLES
 from sugiyama_ros.simulation.result import Collision
 from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M, SIMULATED, About
+from sugiyama_ros.trajectories.dense import MAX_SAMPLES
 from sugiyama_ros.trajectories.exchange import of_columns
 from sugiyama_ros.trajectories.labels import labels_of
 from sugiyama_ros.trajectories.tracks import Tracks
@@ -360,6 +363,7 @@ def place_at_random(
     return OnRoad(s_m, lane, 0.8 * parameters[:, V_STAR], length, parameters, lane_parameters)
 
 
+@checked()
 def simulate_lane_changes(
     vehicles: int = 60,
     lanes: int = 3,
@@ -406,9 +410,16 @@ def simulate_lane_changes(
     >>> run.tracks.column("lane").used()
     ('0', '1')
     """
-    for name, value in (("vehicles", vehicles), ("lanes", lanes), ("duration_s", duration_s)):
-        if not 1 <= value < np.inf:
-            raise InputError(f"{name}: {value:g} is not possible; give 1 or more")
+    for name, value, lower, upper in (
+        ("vehicles", vehicles, 1, MAX_VEHICLES),
+        ("lanes", lanes, 1, 100),
+        ("duration_s", duration_s, 1.0, MAX_SAMPLES * REFERENCE_PERIOD_S / vehicles if vehicles > 0 else np.inf),
+        # places differ by up to a quarter of it, and nobody starts inside a leader
+        ("spacing_m", spacing_m, 2.0 * DEFAULT_LENGTH_M, 1e4),
+        ("seed", seed, 0, np.inf),
+    ):
+        if not lower <= value <= upper:
+            raise InputError(f"{name}: {value:g} is not possible; give {lower:g} to {upper:g}")
     if missing := sorted(set(spans or {}) - set(range(lanes))):
         raise InputError(f"spans: there is no lane {missing[0]}; lanes have the numbers 0 to {lanes - 1}")
     rng = np.random.default_rng(seed)

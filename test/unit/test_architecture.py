@@ -10,6 +10,7 @@ import pytest
 PACKAGE = Path(__file__).parents[2] / "sugiyama_ros"
 #: The rooms (folders and single files), as in CONTRIBUTING.md. Each room may import the rooms above it, and errors.
 ORDER = (
+    "arguments",
     "arrays",
     "files",
     "interrupts",
