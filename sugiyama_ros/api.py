@@ -279,8 +279,7 @@ def calibrate(
     _check_names("calibrate", settings, _CalibrateSettings.__dataclass_fields__)
     said = _CalibrateSettings(**settings)
     _check_within("seed", said.seed, 0, math.inf)
-    classes, goals = number_of_classes(said.classes), goals_from(said.goals)
-    of_search = (said.seed, said.law, tuple(effects), classes, goals)
+    of_search = (said.seed, said.law, tuple(effects), number_of_classes(said.classes), goals_from(said.goals))
     asked = Settings(formulation, tuple(parameters), regularise, profile, *of_search)
     asked.check()
     with stages() as on:

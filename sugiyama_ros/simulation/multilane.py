@@ -410,6 +410,17 @@ def simulate_lane_changes(
     >>> run.tracks.column("lane").used()
     ('0', '1')
     """
+    _check_asked(vehicles, lanes, duration_s, spacing_m, seed)
+    if missing := sorted(set(spans or {}) - set(range(lanes))):
+        raise InputError(f"spans: there is no lane {missing[0]}; lanes have the numbers 0 to {lanes - 1}")
+    rng = np.random.default_rng(seed)
+    start = place_at_random(vehicles, lanes, spacing_m, rng, parameters or {})
+    known = {lane: LaneSpan(*(spans or {}).get(lane, LaneSpan())) for lane in range(lanes)}
+    return simulate_multilane(start, known, duration_s, rng)
+
+
+def _check_asked(vehicles: int, lanes: int, duration_s: float, spacing_m: float, seed: int) -> None:
+    """Raise InputError for numbers that cannot be simulated."""
     for name, value, lower, upper in (
         ("vehicles", vehicles, 1, MAX_VEHICLES),
         ("lanes", lanes, 1, 100),
@@ -420,9 +431,3 @@ def simulate_lane_changes(
     ):
         if not lower <= value <= upper:
             raise InputError(f"{name}: {value:g} is not possible; give {lower:g} to {upper:g}")
-    if missing := sorted(set(spans or {}) - set(range(lanes))):
-        raise InputError(f"spans: there is no lane {missing[0]}; lanes have the numbers 0 to {lanes - 1}")
-    rng = np.random.default_rng(seed)
-    start = place_at_random(vehicles, lanes, spacing_m, rng, parameters or {})
-    known = {lane: LaneSpan(*(spans or {}).get(lane, LaneSpan())) for lane in range(lanes)}
-    return simulate_multilane(start, known, duration_s, rng)

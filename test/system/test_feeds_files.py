@@ -465,7 +465,7 @@ def test_python_calibrates_tracks_and_simulations():
     found = sg.calibrate(simulated, "paper").to_frame()
     np.testing.assert_array_equal(found, sg.calibrate(simulated.measured, "paper").to_frame())
     for function in (sg.diagnose, sg.compare):
-        with pytest.raises(InputError, match=r"recording: DataFrame is none; give what read or simulate"):
+        with pytest.raises(InputError, match=r"tracks: .* is not possible; give Tracks or Simulation"):
             function(CARS)
     rng = np.random.default_rng(0)
     noisy = CARS.assign(position_m=CARS.position_m + rng.normal(0.0, 0.1, len(CARS)))
