@@ -10,6 +10,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
+from sugiyama_ros.arguments import checked
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.files import writing
 
@@ -126,7 +127,7 @@ class Result:
         """
         if ax is None:
             return self._picture()
-        place = ax.get_subplotspec()
+        place = ax.get_subplotspec() if hasattr(ax, "get_subplotspec") else None
         if place is None:
             raise InputError("plot(ax=): these axes are no part of a grid; make them with subplots()")
         part = ax.figure.add_subfigure(place)
@@ -150,6 +151,7 @@ class Result:
         self.draw(figure)
         return figure
 
+    @checked()
     def save(self, path: str | Path) -> None:
         """Write the result to a file.
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sugiyama_ros.arguments import checked
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import COUNT, index
 from sugiyama_ros.effects.registry import EFFECTS, ROW
@@ -273,6 +274,7 @@ class Calibration(Result):
             axes.set_xticks(place, [d.shown for d in self.drivers])
         axes.set(xlabel="vehicle" if self.road is not None else "following [s]")
 
+    @checked()
     def save(self, path: str | Path) -> None:
         """Write the calibration to a file.
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Literal
 import numpy as np
 from scipy.stats import norm
 
+from sugiyama_ros.arguments import checked
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.base import base_model, laws, with_more_decisions
 from sugiyama_ros.diagnosis.candidates import Candidate, candidates, chosen, push_of_one
@@ -192,6 +193,7 @@ class Diagnosis(Result):
         right.set(xlabel="time ahead [s]", ylabel="error of free runs [m]", ylim=(0.0, None))
         right.legend()
 
+    @checked()
     def save(self, path: str | Path) -> None:
         """Write the diagnosis to a file.
 

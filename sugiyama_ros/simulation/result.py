@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sugiyama_ros.arguments import checked
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import COUNT, NAMES
 from sugiyama_ros.effects.registry import ROW, active
@@ -99,6 +100,7 @@ class Simulation(Result):
         """Draw the true positions over time, coloured by speed."""
         space_time(figure, self.dense.time_s, self.position_m, self.speed)
 
+    @checked()
     def save(self, path: str | Path) -> None:
         """Write the simulation to a file.
 

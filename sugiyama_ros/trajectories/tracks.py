@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from sugiyama_ros.arguments import checked
 from sugiyama_ros.arrays import Array, Ints, Mask
+from sugiyama_ros.errors import InputError
 from sugiyama_ros.files import writing
 from sugiyama_ros.results import Result, needs, space_time
 from sugiyama_ros.trajectories.about import About
@@ -156,7 +158,9 @@ class Tracks(Result):
         return [self.run_name(run) for run in np.flatnonzero(self.controlled_runs).tolist()]
 
     def column(self, name: str) -> Labels | Array | Mask | None:
-        """A column by its name in files; None for one that is not there."""
+        """A column by its name in files; None for one that is not there. Raises InputError for another name."""
+        if not isinstance(name, str) or name not in (*TEXTS, *NUMBERS, "leader", *FLAGS):
+            raise InputError(f"{str(name)[:40]!r}: no column of tracks; choose among {', '.join(self.columns)}")
         found = getattr(self, "vehicle_class" if name == "class" else name)
         return found if found is None or isinstance(found, Labels) else np.asarray(found)
 
@@ -190,7 +194,14 @@ class Tracks(Result):
         -------
         Tracks
             The rows that are kept.
+
+        Raises
+        ------
+        InputError
+            For anything but one yes or no for each row.
         """
+        if not isinstance(rows, np.ndarray) or rows.dtype != bool or rows.shape != (len(self),):
+            raise InputError(f"rows: give an array of {len(self)} times True or False, as of tracks.time_s > 10.0")
         new_row = np.where(rows, np.cumsum(rows) - 1, UNKNOWN)
         ahead = self.leader_row[rows]
         kept = {name: None if (c := self.column(name)) is None else c[rows] for name in (*TEXTS, *NUMBERS, *FLAGS)}
@@ -259,6 +270,7 @@ class Tracks(Result):
             frame[name] = column
         return pandas.DataFrame(frame)
 
+    @checked()
     def save(self, path: str | Path) -> None:
         """Write the table to a file.
 

@@ -209,3 +209,22 @@ def test_arrays_are_made_of_whatever_holds_numbers() -> None:
     for one in bad:
         with pytest.raises(InputError, match=r"x: .* is not possible; give "):
             take(one)
+
+
+def test_methods_of_results_refuse_what_they_cannot_take(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    simulated = sg.simulate(vehicles=2, ring_m=0.0, duration_s=4.0)
+    tracks = simulated.measured
+    acts: tuple[tuple[Callable[[Any], object], str], ...] = (
+        (simulated.save, "path|nonsense|aaa|is a directory|cannot be written"),
+        (tracks.save, "path|nonsense|aaa|is a directory|cannot be written"),
+        (simulated.plot, "plot.ax="),
+        (tracks.select, "rows: give an array of"),
+        (tracks.column, "no column of tracks; choose among"),
+    )
+    for act, told in acts:
+        for value in ODD:
+            if act == simulated.plot and value is None:
+                continue
+            with pytest.raises((InputError, OutputError), match=told):
+                act(value)
