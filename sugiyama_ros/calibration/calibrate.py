@@ -19,12 +19,14 @@ from sugiyama_ros.calibration.result import (
 from sugiyama_ros.driver.parameters import NAMES, index
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.fit.coordinates import limits, with_open_ends
 from sugiyama_ros.fit.driver import Fit, SearchOptions, calibrate, is_determined, quadratic
 from sugiyama_ros.fit.driver_types import Population, Predictions
 from sugiyama_ros.fit.recording import FOLDS
 from sugiyama_ros.fit.smooth_positions import evenness
 from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.progress import OnProgress
+from sugiyama_ros.results import counted
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.dense import DenseTracks, numbers_of, one_road, road_of_drivers
 from sugiyama_ros.trajectories.tracks import Tracks
@@ -132,7 +134,8 @@ def _in_classes(
         most = min(MOST_CLASSES, data.drivers // FOLDS)
         if most < 1:
             raise InputError(
-                f"{tracks.about.source}: {data.drivers} drivers are too few to hold some out; give a number of classes"
+                f"{tracks.about.source}: {counted(data.drivers, 'driver')}, too few to hold some out; give a number of"
+                " classes"
             )
         held_out = tuple(predict_held_out(data, places, most, work, settings.seed, on_progress))
         count = chosen(held_out)
@@ -188,14 +191,16 @@ def _pooled(tracks: Tracks, road: DenseTracks | None, settings: Settings, work: 
     places = list(fitted.model.individual)
     medians = np.median(fitted.model.rows[:, places], axis=0).tolist()
     of_paper = {n: (m, float(s)) for n, m, s in zip(names, medians, prior, strict=True) if n in NAMES}
-    known &= is_determined(stds[:, places], fitted.model.rows[:, places])
+    interval = quadratic(fitted.model.rows, stds)
+    interval[:, places] = with_open_ends(interval[:, places], places, limits(places, data.lower, data.upper))
+    known &= is_determined(stds[:, places], fitted.model.rows[:, places], interval[:, places])
     return Calibration(
         settings=settings,
         drivers=_drivers(road) if road is not None else _followers(data, fitted.samples),
         rows=fitted.model.rows,
         std=tuple(own),
         identified=tuple(dict(zip(names, one.tolist(), strict=True)) for one in known),
-        interval=quadratic(fitted.model.rows, stds),
+        interval=interval,
         log_likelihood=np.nansum(fitted.samples.log_likelihood, axis=1),
         about=tracks.about,
         road=None if road is None else with_short_periods(road),

@@ -9,6 +9,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.calibration.result import Calibration
 from sugiyama_ros.driver.lane_change import LaneSpan
 from sugiyama_ros.driver.parameters import COUNT
+from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.lane_change import LaneChoices, fit_lane_changes
 from sugiyama_ros.simulation.multilane import MultilaneRun
 from sugiyama_ros.trajectories.tracks import Tracks
@@ -28,8 +29,8 @@ def lane_changes(
         Vehicles on lanes of open roads. Lanes have whole numbers, which grow to the left. A simulated run is judged by
         its true drivers.
     calibration : Calibration, optional
-        Parameters of the drivers, as of `calibrate`; drivers who are not in it count as the median driver. Without it,
-        all have the paper's parameters.
+        Parameters of the drivers, as of `calibrate`; drivers who are not in it, or whose desired speed is not
+        identified, count as the median driver. Without it, all have the paper's parameters.
     spans : mapping of int to (float, float), optional
         Where lanes open to others, and where they end [m]; lanes of the tracks that are left out have no ends.
 
@@ -41,7 +42,8 @@ def lane_changes(
     Raises
     ------
     InputError
-        For tracks without numbered lanes, on a ring, or with too few changes of lane.
+        For tracks without numbered lanes, on a ring, or with too few changes of lane; for a calibration in which the
+        desired speeds of most drivers are not identified.
 
     Examples
     --------
@@ -57,11 +59,20 @@ def lane_changes(
 
 
 def _drivers_in(tracks: Tracks, calibration: Calibration) -> Array:
-    """Return the parameters (V, P) of the drivers of all runs, out of a calibration."""
+    """Return the parameters (V, P) of the drivers of all runs, out of a calibration. Raises InputError."""
+    drivers, rows = calibration.drivers, calibration.rows[:, :COUNT]
+    known = np.ones(len(drivers), np.bool_)
+    if "v_star" in calibration.settings.estimated:
+        known = calibration.has_value("v_star")
+    if 2 * known.sum() < len(known):
+        raise InputError(
+            f"calibration: the desired speeds of {(~known).sum()} of {len(known)} drivers are not identified; leave the"
+            " calibration out, or calibrate these drivers in faster traffic"
+        )
     of_vehicle = {
-        (d.recording, str(d.vehicle)): row[:COUNT] for d, row in zip(calibration.drivers, calibration.rows, strict=True)
+        (d.recording, str(d.vehicle)): row for d, row, is_known in zip(drivers, rows, known, strict=True) if is_known
     }
-    median = np.median(calibration.rows[:, :COUNT], axis=0)
+    median = np.median(rows[known], axis=0)
     first = tracks.start[:-1].tolist()
     names = [(tracks.recording.at(row), tracks.vehicle.at(row)) for row in first]
     return np.array([of_vehicle.get(name, of_vehicle.get(("", name[1]), median)) for name in names])

@@ -10,17 +10,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sugiyama_ros.arguments import checked
-from sugiyama_ros.arrays import Array
+from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.driver.parameters import COUNT, index
 from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.files import Target
+from sugiyama_ros.fit.coordinates import has_both_ends
 from sugiyama_ros.fit.driver import SIGMAS, Fit, Formulation, is_determined
 from sugiyama_ros.fit.driver_types import Classes, DriverTypes, Population, Predictions
 from sugiyama_ros.fit.goals import Goal, KnownGoals
 from sugiyama_ros.fit.smooth_positions import ESTIMATED
 from sugiyama_ros.laws.registry import PAPERS, law
-from sugiyama_ros.results import BLUE, Result, TextTable, plain
+from sugiyama_ros.results import BLUE, Result, TextTable, counted, plain
+from sugiyama_ros.results import figure as in_words
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.dense import DenseTracks
 
@@ -31,6 +33,8 @@ if TYPE_CHECKING:
 AUTO, VEHICLE = "auto", "vehicle"
 #: Largest number of classes.
 MOST_CLASSES = 20
+# Values below this one are written with three digits that count.
+_SMALL = 0.01
 _VAGUE, _NOT_IDENTIFIED = "(not identified)", "not identified"
 
 
@@ -63,7 +67,9 @@ class Settings:
     def check_classes(self, drivers: int, source: str) -> None:
         """Raise InputError for more classes than drivers."""
         if isinstance(self.classes, int) and drivers < self.classes:
-            raise InputError(f"{source}: {drivers} drivers, {self.classes} classes; give --classes {drivers} at most")
+            raise InputError(
+                f"{source}: {counted(drivers, 'driver')}, {self.classes} classes; give --classes {drivers} at most"
+            )
 
     def check(self, option: Callable[[str], str] = str) -> None:
         """Raise InputError for settings that contradict each other; ``option`` writes the name of one for the user."""
@@ -166,7 +172,8 @@ class Calibration(Result):
     identified : tuple of dict of str to bool
         Whether the data determine each driver's estimated parameters, by name.
     interval : ndarray, shape (N, P, 2) or (N, width, 2)
-        Ends of the 95 % intervals of the first P entries of a row, which are the paper's parameters, or of all.
+        Ends of the 95 % intervals of the first P entries of a row, which are the paper's parameters, or of all. An end
+        that the data do not set, because a bound of the search comes first, is infinite, or 0 towards 0.
     log_likelihood : ndarray, shape (N,)
         Log-likelihood of each driver [nats], without the 2 pi term.
     about : About
@@ -228,7 +235,7 @@ class Calibration(Result):
         """Say how many drivers were calibrated, and for how many of them each parameter is identified."""
         held = ", ".join(f"{n} of {sum(one[n] for one in self.identified)}" for n in self.settings.estimated)
         total = f"{self.settings.formulation} formulation, log-likelihood {self.log_likelihood.sum():.1f}"
-        return f"{len(self.rows)} drivers, {total}; identified: {held}"
+        return f"{counted(len(self.rows), 'driver')}, {total}; identified: {held}"
 
     def records(self) -> list[dict[str, Any]]:
         """List the drivers.
@@ -341,6 +348,7 @@ class Calibration(Result):
         A parameter that is not identified has no value, and is not in the mean.
         """
         names, on_tracks = self.settings.estimated, self.road is None
+        has_classes = any(driver.vehicle_class or driver.leader_class for driver in self.drivers)
         rows: list[tuple[str, ...]] = []
         held: dict[str, list[float]] = {n: [] for n in names}
         for d, values in zip(self.drivers, self._drivers(), strict=True):
@@ -352,16 +360,18 @@ class Calibration(Result):
         if on_tracks:
             pairs = self.pairs if len({one.leader_class for one in self.pairs} - {""}) > 1 else ()
             for one in (*self.vehicle_classes, *pairs):
-                cells = ["" if (m := one.medians[n]) is None else f"{m:.3f}" for n in names]
+                cells = ["" if (m := one.medians[n]) is None else _figure(m) for n in names]
                 rows.append((f"median of {one.drivers}", one.shown, "", *cells, "", ""))
         else:
-            means = [f"{fmean(held[n]):.3f}" if held[n] else "nan" for n in names]
+            means = [_figure(fmean(held[n])) if held[n] else _NOT_IDENTIFIED for n in names]
             rows.append(("mean", *means, f"{float(self.log_likelihood.mean()):.1f}"))
         title = f"Calibration, {self.settings.formulation} formulation"
         who, last = (("class", "following [s]"), ("NIS",)) if on_tracks else ((), ())
         headings = ("vehicle", *who, *map(ROW.heading, names), "log-likelihood [nats]", *last, *self._belongs(0))
         rows = [(*row, *[""] * (len(headings) - len(row))) for row in rows]
-        return TextTable(title, headings, tuple(rows), left=2 if on_tracks else 0)
+        if on_tracks and not has_classes:
+            headings, rows = (headings[0], *headings[2:]), [(row[0], *row[2:]) for row in rows]
+        return TextTable(title, headings, tuple(rows), left=1 + has_classes if on_tracks else 0)
 
     def class_sentences(self) -> list[str]:
         """Say the share and the parameters of each class, and which models predict held-out drivers better.
@@ -372,7 +382,7 @@ class Calibration(Result):
             return []
         names, lines = self.settings.estimated, []
         for number, one in enumerate(_classes_of(self.classes, names)):
-            values = ", ".join(f"{n} {one[n]:.3f} ({_ends(*one['interval'][n])})" for n in names)
+            values = ", ".join(f"{n} {_figure(one[n])} ({_ends(*one['interval'][n])})" for n in names)
             lines.append(f"class {one.get('name', number)}: {one['share']:.0%} of the drivers, {values}")
         for lane, shares in zip(self.classes.entries, self.classes.goal_share.tolist(), strict=True):
             if self.settings.goals:
@@ -389,7 +399,7 @@ class Calibration(Result):
     def shared_sentences(self) -> list[str]:
         """Say the values of the parameters that all drivers share, one line for each effect."""
         said = {
-            name: ", ".join(f"{p} {v['value']:.4g} {_within(v['std'], '.2g')}" for p, v in values.items())
+            name: ", ".join(f"{p} {v['value']:.4g} {_within(v['std'], '{:.2g}'.format)}" for p, v in values.items())
             for name, values in self._shared().items()
         }
         return [f"{name}: {values or 'nothing of it was found'}" for name, values in said.items()]
@@ -417,14 +427,22 @@ class Calibration(Result):
         who = {"recording": d.recording, "vehicle": d.vehicle, "class": d.vehicle_class}
         return {**who, "stretches": d.stretches, "following_s": d.following_s}
 
+    def has_value(self, name: str) -> Mask:
+        """Return of which drivers (N,) an estimated parameter has a value.
+
+        The parameter is identified, or the driver is a draw from a population that says enough of it, although the
+        driver's own samples say little.
+        """
+        return np.array([self._has_value(d, name) for d in self._drivers()])
+
+    def _has_value(self, d: Mapping[str, Any], name: str) -> bool:
+        interval = np.array(d["interval"][name])
+        is_drawn = self.population is not None and bool(is_determined(d["std"][name], d[name], interval))
+        return bool(d["identified"][name]) or is_drawn
+
     def _cell(self, d: Mapping[str, Any], name: str) -> str:
-        low, high = d["interval"][name]
-        known = f"{low:.3f} to {high:.3f}" if self.settings.profiled else _within(d["std"][name], ".3f")
-        # a draw from a population has a value, also if the driver's own samples say little
-        is_known = d["identified"][name] or (
-            self.population is not None and bool(is_determined(d["std"][name], d[name]))
-        )
-        return f"{d[name]:.3f} {known}" if is_known and known != _VAGUE else _NOT_IDENTIFIED
+        known = _ends(*d["interval"][name]) if self.settings.profiled else _within(d["std"][name])
+        return f"{_figure(d[name])} {known}" if self._has_value(d, name) and known != _VAGUE else _NOT_IDENTIFIED
 
     def _shared(self) -> dict[str, dict[str, dict[str, float]]]:
         """Value and std of each shared parameter, by effect and parameter; nothing for an effect that was not found.
@@ -473,7 +491,7 @@ def of_classes(
     names, likeliest = settings.estimated, classes.probability.argmax(axis=1)
     places, interval = [index(name) for name in names], classes.interval[likeliest]
     std = np.ptp(interval, axis=-1) / (2.0 * SIGMAS)
-    determined = is_determined(std, classes.own_rows)
+    determined = is_determined(std, classes.own_rows, interval)
     return Calibration(
         settings=settings,
         drivers=tuple(drivers),
@@ -513,12 +531,20 @@ def _row(d: CalibratedDriver, cells: Sequence[str], log_likelihood: float, on_tr
 
 def _ends(low: float, high: float) -> str:
     """Ends of an interval, as text."""
-    return f"{low:.3f} to {high:.3f}" if math.isfinite(high) else f"at least {low:.3f}"
+    ends = [_figure(end) if has_both_ends(np.array([end])) else "" for end in (low, high)]
+    if all(ends):
+        return " to ".join(ends)
+    return f"at least {ends[0]}" if ends[0] else f"at most {ends[1]}" if ends[1] else _NOT_IDENTIFIED
 
 
-def _within(std: float, form: str) -> str:
+def _figure(value: float) -> str:
+    """A value of a parameter, as text; a small one keeps its digits."""
+    return in_words(value) if 0.0 < abs(value) < _SMALL else f"{value:.3f}"
+
+
+def _within(std: float, write: Callable[[float], str] = _figure) -> str:
     """How well a parameter is known, as text."""
-    return f"± {std:{form}}" if math.isfinite(std) else _VAGUE
+    return f"± {write(std)}" if math.isfinite(std) else _VAGUE
 
 
 def _classes_of(classes: Classes, names: Sequence[str]) -> list[dict[str, Any]]:

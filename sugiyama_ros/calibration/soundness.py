@@ -41,11 +41,12 @@ def mean_nis(calibration: Calibration) -> Array:
 
 def cautions(calibration: Calibration) -> list[str]:
     """Say in one line each what makes the figures of a calibration doubtful. Raises InputError as ``mean_nis``."""
+    desired = _desired_speeds(calibration)
     t = calibration.road
     if t is None or calibration.settings.formulation == "paper":
-        return []
+        return desired
     nis, vehicles = mean_nis(calibration), np.array([driver.shown for driver in calibration.drivers])
-    lines = []
+    lines: list[str] = []
     small, large = nis < _LEAST_NIS, nis > _LARGEST_NIS
     if small.any():
         lines.append(
@@ -62,11 +63,25 @@ def cautions(calibration: Calibration) -> list[str]:
         lines.append(f"{_named(vehicles[unknown])}: too few samples, so that no parameter is known")
     alone = np.mean(t.leader < 0, axis=0) > _ALONE
     if alone.any():
+        follow = "follow" if alone.sum() > 1 else "follows"
         lines.append(
-            f"{_named(vehicles[alone])}: follows nobody: v_star holds only if the road ahead was free, and kappa_v is"
+            f"{_named(vehicles[alone])}: {follow} nobody: v_star holds only if the road ahead was free, and kappa_v is"
             " not known"
         )
-    return lines
+    return lines + (desired if not unknown.all() else [])
+
+
+def _desired_speeds(calibration: Calibration) -> list[str]:
+    """Say that the desired speed of most drivers has no value; empty if it has one."""
+    if "v_star" not in calibration.settings.estimated:
+        return []
+    known = calibration.has_value("v_star")
+    if 2 * known.sum() >= len(known):
+        return []
+    return [
+        f"v_star is not identified for {(~known).sum()} of {len(known)} drivers: the recording does not say how fast"
+        " they want to drive; record them in faster traffic, too"
+    ]
 
 
 def _named(vehicles: NDArray[np.str_]) -> str:

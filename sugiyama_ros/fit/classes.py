@@ -13,6 +13,7 @@ Dempster, Laird and Rubin, J. R. Stat. Soc. B 39 (1977) 1. Louis, J. R. Stat. So
 Huber, Proc. Fifth Berkeley Symp. Math. Stat. Prob. 1 (1967) 221.
 """
 
+import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
@@ -25,8 +26,16 @@ from scipy.special import logsumexp, softmax
 from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.driver.parameters import SIGMA_NU, SIGMA_V, SIGMA_X
 from sugiyama_ros.effects.registry import ROW
-from sugiyama_ros.fit.coordinates import ENOUGH_CAUSAL, LONGEST, Damping, coordinate, limits, value
-from sugiyama_ros.fit.driver import SIGMAS, end_of_profile
+from sugiyama_ros.fit.coordinates import (
+    ENOUGH_CAUSAL,
+    LONGEST,
+    Damping,
+    coordinate,
+    limits,
+    value,
+    with_open_ends,
+)
+from sugiyama_ros.fit.driver import SIGMAS, end_of_profile, untouched
 from sugiyama_ros.fit.driver_types import Classes
 from sugiyama_ros.fit.goals import Goals, goals_of
 from sugiyama_ros.fit.joint import LARGEST_STD, fit_base
@@ -307,7 +316,10 @@ class Search:
         tried = []
         for k in range(_STARTS):
             rng = np.random.default_rng(seed + k)
-            centres, label = kmeans2(near, layout.classes, minit="++", rng=rng, missing="warn")
+            with np.errstate(invalid="ignore"), warnings.catch_warnings():
+                # where several drivers are alike, a cluster may be empty: its centre stays where it began
+                warnings.simplefilter("ignore", UserWarning)
+                centres, label = kmeans2(near, layout.classes, minit="++", rng=rng, missing="warn")
             x = layout.vector(centre + centres * scale, noise)
             tried.append(some.maximise(some.at(x, goals * label.astype(np.int64)), _ROUGHLY))
         best = max(tried, key=lambda point: float(point.log_likelihood.sum()))
@@ -321,7 +333,7 @@ class Search:
         covariance = np.linalg.pinv(observed, hermitian=True)
         # the sandwich estimate, if drivers pull in different directions by more than the information allows
         scatter = np.square((each - each.mean(axis=0)) @ covariance).sum(axis=0) * len(each) / max(len(each) - 1, 1)
-        errors = np.sqrt(np.maximum(np.maximum(np.diag(covariance), scatter), 0.0))
+        errors = np.maximum(_errors(observed), np.sqrt(scatter))
         (share, of_goals), goals = layout.shares(at.x), len(layout.goals.names)
         rows = np.array([model.rows[0] for model in at.models[::goals]])
         interval = np.stack([rows, rows], axis=-1)
@@ -329,10 +341,11 @@ class Search:
             columns = layout.columns(k)[0]
             own, of_class = len(layout.own), columns[: len(layout.own)]
             # what the other classes, the noises and the shares add to the errors of the class alone
-            alone = np.sqrt(np.diag(np.linalg.pinv(observed[np.ix_(of_class, of_class)], hermitian=True)))
+            alone = _errors(observed[np.ix_(of_class, of_class)])
             away = np.tile(np.array([-SIGMAS, SIGMAS]), (len(columns), 1)) * errors[columns, None]
-            away[:own] = _ClassAlone(self, at, k).ends(alone) * (errors[of_class] / alone)[:, None]
-            interval[k, layout.places] = value((at.x[columns, None] + away).T, layout.places).T
+            wider = np.divide(errors[of_class], alone, out=np.ones(own), where=np.isfinite(alone))
+            away[:own] = _ClassAlone(self, at, k).ends(alone) * wider[:, None]
+            interval[k, layout.places] = self._interval(at.x[columns], away, columns)
         order = np.argsort(-share)
         probability = at.probability.reshape(len(self.who), layout.classes, goals)
         # in the likeliest class, and without a goal, which nobody knows for sure
@@ -341,7 +354,7 @@ class Search:
         return Classes(
             names=tuple(names[k] for k in order) if names else (),
             rows=rows[order],
-            interval=np.sort(interval[order], axis=-1),
+            interval=interval[order],
             share=share[order],
             probability=probability.sum(axis=2)[:, order],
             own_rows=own_rows,
@@ -351,6 +364,12 @@ class Search:
             entries=layout.goals.entries,
             goal_share=of_goals,
         )
+
+    def _interval(self, x: Array, away: Array, columns: Ints) -> Array:
+        """Intervals (P, 2) of the parameters of a class, from the distances (P, 2) of their ends in coordinates."""
+        places, low, high = self.layout.places, self.low[columns, None], self.high[columns, None]
+        ends = value(np.clip(x[:, None] + away, low, high).T, places).T
+        return with_open_ends(np.sort(ends, axis=-1), places, limits(places, self.data.lower, self.data.upper))
 
 
 class _ClassAlone:
@@ -434,6 +453,13 @@ class _ClassAlone:
         joint = self.weights + density
         total = logsumexp(np.column_stack([self.others, joint]), axis=1)
         return models, samples, np.exp(joint - total[:, None]), float(total.sum())
+
+
+def _errors(information: Array) -> Array:
+    """Standard deviations (D,) from an information (D, D) about coordinates; infinite where it says nothing."""
+    variance = np.diag(np.linalg.pinv(information, hermitian=True))
+    vague = untouched(information, np.ones(len(information))) | (variance <= 0.0)
+    return np.where(vague, np.inf, np.sqrt(np.maximum(variance, 0.0)))
 
 
 def _step(gradient: Array, complete: Array, missing: Array, damping: float) -> Array:

@@ -87,6 +87,30 @@ def limits(places: Sequence[int] | Ints, least: Array, upper: Array) -> Array:
     return np.array([lowest, np.where(sign < 0.0, np.minimum(highest, -size), highest)])
 
 
+def with_open_ends(interval: Array, places: Sequence[int] | Ints, ends: Array) -> Array:
+    """Return intervals (..., K, 2) of parameters at ``places`` without the ends that the data do not set.
+
+    An end on a bound of the search, beyond it, or unknown is open. An open end is infinite, or 0 towards 0 where the
+    sign of the parameter is fixed; ``has_both_ends`` knows it by this. ends: (2, K), bounds of the search, from
+    ``limits``.
+    """
+    sign, (lowest, highest) = _SIGN[list(places)], ends
+    near = 1e-9 * np.abs(ends)
+    low, high = interval[..., 0], interval[..., 1]
+    return np.stack(
+        [
+            np.where(low > lowest + near[0], low, np.where(sign > 0.0, 0.0, -np.inf)),
+            np.where(high < highest - near[1], high, np.where(sign < 0.0, 0.0, np.inf)),
+        ],
+        axis=-1,
+    )
+
+
+def has_both_ends(interval: Array) -> Mask:
+    """Return whether the data set both ends of intervals (..., 2)."""
+    return np.asarray((np.isfinite(interval) & (interval != 0.0)).all(axis=-1))
+
+
 @dataclass(frozen=True)
 class Damping:
     """How the damping of a search changes: it is divided by ten after a success and multiplied by ten after a failure.

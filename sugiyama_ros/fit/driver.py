@@ -23,10 +23,12 @@ from sugiyama_ros.fit.coordinates import (
     coordinate,
     damped_step,
     fastest,
+    has_both_ends,
     limits,
     lower_bounds,
     upper_bounds,
     value,
+    with_open_ends,
 )
 from sugiyama_ros.fit.smooth_positions import ESTIMATED, evenness, measured, with_short_periods
 from sugiyama_ros.trajectories.dense import DenseTracks
@@ -158,8 +160,8 @@ class Fit:
     vehicle: number of the vehicle; parameters: (P,), estimated parameters; log_likelihood: log-likelihood at the
     maximum [nats], without the 2 pi term and the regularisation; std: (P,), standard deviations; 0 for a parameter that
     was given, infinite for a parameter on a bound or one that the data say nothing about; at_bound: names of the
-    parameters on a bound, which the data do not determine; interval: (P, 2), ends of the 95 % intervals; 0 or infinite
-    where the data set no end.
+    parameters on a bound, which the data do not determine; interval: (P, 2), ends of the 95 % intervals, as of
+    ``with_open_ends``.
     """
 
     vehicle: int
@@ -170,9 +172,9 @@ class Fit:
     interval: Array
 
     def identified(self, name: str) -> bool:
-        """Whether the data determine a parameter: it is not on a bound, and its std is less than half of its value."""
+        """Whether the data determine a parameter: it is not on a bound, and ``is_determined``."""
         k = index(name)
-        return name not in self.at_bound and bool(is_determined(self.std[k], self.parameters[k]))
+        return name not in self.at_bound and bool(is_determined(self.std[k], self.parameters[k], self.interval[k]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -308,13 +310,15 @@ def _fit(job: Job, enough: float, is_careful: bool = False) -> Fit:
     if not bound.all():
         scored = job.careful(parameters) if is_careful else found.scored
         std[places[~bound]] = stds(scored, parameters, places[~bound])
+    interval = quadratic(parameters, std)
+    interval[places] = with_open_ends(interval[places], places, limits(places, job.lower, job.upper))
     return Fit(
         vehicle=job.vehicle,
         parameters=parameters,
         log_likelihood=found.value,
         std=std,
         at_bound=tuple(NAMES[k] for k in places[bound]),
-        interval=quadratic(parameters, std),
+        interval=interval,
     )
 
 
@@ -446,9 +450,12 @@ def stds(scored: Scored, parameters: Array, places: Ints) -> Array:
     return np.where(untouched(information, parameters[places]), np.inf, found)
 
 
-def is_determined(std: Array | float, value: Array | float) -> Mask:
-    """Whether the data determine parameters (...): the standard deviation is less than half of the value."""
-    return np.asarray(np.asarray(std) < 0.5 * np.abs(value))
+def is_determined(std: Array | float, value: Array | float, interval: Array) -> Mask:
+    """Whether the data determine parameters (...).
+
+    The standard deviation is less than half of the value, and the data set both ends of the interval (..., 2).
+    """
+    return np.asarray((np.asarray(std) < 0.5 * np.abs(value)) & has_both_ends(interval))
 
 
 def untouched(information: Array, values: Array) -> Array:

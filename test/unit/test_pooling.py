@@ -220,7 +220,7 @@ def test_goals_that_are_none_are_refused(text, says):
 
 def test_too_few_drivers_and_a_goal_out_of_reach_are_refused(exits, short):
     few = short[0].select(np.asarray(short[0].run) < 4)
-    with pytest.raises(InputError, match="3 drivers are too few to hold some out"):
+    with pytest.raises(InputError, match="3 drivers, too few to hold some out"):
         sg.calibrate(few, classes="auto")
     with pytest.raises(InputError, match="place 5000 m is out of reach: vehicles are seen from"):
         sg.calibrate(exits[0], goals={"exit": {"place": 5000.0}})

@@ -1,11 +1,13 @@
 """A calibration says when the filter does not know its own errors, and refuses to go on when it has lost a vehicle."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import sugiyama_ros as sg
+from sugiyama_ros.calibration import soundness
 from sugiyama_ros.calibration.soundness import cautions, mean_nis
 from sugiyama_ros.errors import InputError
 
@@ -49,6 +51,17 @@ def test_drivers_of_whom_nothing_is_known_are_told(calibrated, tmp_path):
     short = sg.calibrate(sg.read(path))
     assert cautions(short)[0] == "vehicles 0, 1: too few samples, so that no parameter is known"
     assert "inf" not in str(short)
+
+
+@pytest.mark.parametrize(
+    ("alone", "told"), [([0], "vehicle 0: follows nobody: "), ([0, 1], "vehicles 0, 1: follow nobody: ")]
+)
+def test_drivers_who_follow_nobody_are_told(calibrated, monkeypatch, alone, told):
+    leader = calibrated.road.leader.copy()
+    leader[:, alone] = -1
+    monkeypatch.setattr(soundness, "mean_nis", lambda calibration: np.ones(len(calibration.drivers)))
+    (line,) = cautions(replace(calibrated, road=SimpleNamespace(leader=leader)))
+    assert line.startswith(told)
 
 
 def test_a_parameter_without_an_error_is_not_identified(calibrated):
