@@ -3,6 +3,7 @@
 import re
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from sugiyama_ros.fit.coordinates import has_both_ends, with_open_ends
 from sugiyama_ros.fit.preparation import prepare_stretches
 from sugiyama_ros.results import to_json
 
+FCD = Path(__file__).parents[2].parent / "shared/cases/classes_interval_without_end/fcd.xml"
 INF = np.inf
 PLACES, ENDS = (V_STAR, OMEGA_2), np.array([[0.5, -1e3], [30.0, -1e-3]])
 
@@ -47,13 +49,8 @@ def test_an_end_on_a_bound_of_the_search_is_open(v_star, omega_2, left):
     assert has_both_ends(found).tolist() == [v_star == left[0], omega_2 == left[1]]
 
 
-SETTINGS = [{}, {"regularise": False}, {"regularise": False, "profile": True}, {"classes": 2}]
-
-
-@pytest.mark.parametrize("settings", SETTINGS, ids=str)
-def test_intervals_end_within_the_bounds_or_are_open(run, settings):
-    """Warnings are errors: no number on the way is beyond what a number can be."""
-    found = sg.calibrate(run.tracks, **settings)
+def check(found):
+    """Check that intervals end within the bounds, or are open, and that text and documents have no wild numbers."""
     for driver in found.document(0.0)["drivers"]:
         for name, (low, high) in driver["interval"].items():
             p = PARAMETERS[index(name)]
@@ -64,6 +61,23 @@ def test_intervals_end_within_the_bounds_or_are_open(run, settings):
                 assert high is not None
     said = "\n".join([*found.class_sentences(), str(found), to_json(found.document(0.0))])
     assert not re.search(r"inf\b|nan|[0-9]{8}\.", said)
+
+
+SETTINGS = [{}, {"regularise": False}, {"regularise": False, "profile": True}, {"classes": 2}]
+
+
+@pytest.mark.parametrize("settings", SETTINGS, ids=str)
+def test_intervals_end_within_the_bounds_or_are_open(run, settings):
+    """Warnings are errors: no number on the way is beyond what a number can be."""
+    check(sg.calibrate(run.tracks, **settings))
+
+
+@pytest.mark.skipif(not FCD.exists(), reason="needs a recording that is not part of the repository")
+def test_so_they_do_where_classes_of_vehicles_say_nothing_of_noises():
+    tracks = sg.read(FCD)
+    found = sg.calibrate(tracks.select(tracks.time_s < 40.0), classes="vehicle")
+    check(found)
+    assert all("sigma_v" in line and "(not identified)" in line for line in found.class_sentences())
 
 
 def test_an_open_end_is_said(run):
