@@ -240,14 +240,17 @@ def _nearly(data: Recorded, individual: Sequence[int], work: Executor, start: Mo
     near = _by_paper(data, first, work) if start is None else None
     starts = [near or first]
     if start is None and near is None and V_STAR in individual:
-        rows = first.rows.copy()
-        own = np.array([chain.high_speed(counts) for chain, counts in zip(data.chains, data.scored, strict=True)])
-        rows[:, V_STAR] = np.where(
-            np.isnan(own), rows[:, V_STAR], np.clip(own, *limits([V_STAR], data.lower, data.upper))
-        )
-        starts.insert(0, replace(first, rows=rows, ahead=rows))
+        starts.insert(0, _at_own_speed(data, first))
     most = 10 if near is None else 3
-    return [maximise(data, _start(data, one, work), work, iterations=most, enough=20.0) for one in starts]
+    return [maximise(data, _start(data, model, work), work, iterations=most, enough=20.0) for model in starts]
+
+
+def _at_own_speed(data: Recorded, model: Model) -> Model:
+    """Return the model in which the desired speed of each driver is the driver's own highest speed."""
+    own = np.array([chain.high_speed(counts) for chain, counts in zip(data.chains, data.scored, strict=True)])
+    rows = model.rows.copy()
+    rows[:, V_STAR] = np.clip(np.where(np.isnan(own), rows[:, V_STAR], own), *limits([V_STAR], data.lower, data.upper))
+    return replace(model, rows=rows, ahead=rows)
 
 
 def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: Model | None = None) -> JointFit:
