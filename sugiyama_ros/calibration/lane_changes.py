@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from sugiyama_ros.arguments import checked
-from sugiyama_ros.arrays import Array
+from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.calibration.result import Calibration
 from sugiyama_ros.driver.lane_change import LaneSpan
 from sugiyama_ros.driver.parameters import COUNT
@@ -61,9 +61,8 @@ def lane_changes(
 def _drivers_in(tracks: Tracks, calibration: Calibration) -> Array:
     """Return the parameters (V, P) of the drivers of all runs, out of a calibration. Raises InputError."""
     drivers, rows = calibration.drivers, calibration.rows[:, :COUNT]
-    known = np.ones(len(drivers), np.bool_)
-    if "v_star" in calibration.settings.estimated:
-        known = calibration.has_value("v_star")
+    is_estimated = "v_star" in calibration.settings.estimated
+    known: Mask = calibration.has_value("v_star") if is_estimated else np.ones(len(drivers), np.bool_)
     if 2 * known.sum() < len(known):
         raise InputError(
             f"calibration: the desired speeds of {(~known).sum()} of {len(known)} drivers are not identified; leave the"

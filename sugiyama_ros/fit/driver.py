@@ -458,7 +458,7 @@ def is_determined(std: Array | float, value: Array | float, interval: Array) -> 
     return np.asarray((np.asarray(std) < 0.5 * np.abs(value)) & has_both_ends(interval))
 
 
-def untouched(information: Array, values: Array) -> Array:
+def untouched(information: Array, values: Array) -> Mask:
     """Which parameters (K,) take part in a combination about which the data say nothing.
 
     values: (K,), their values, which give the scale: the information about logarithms has no unit.
