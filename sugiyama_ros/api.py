@@ -213,7 +213,7 @@ def simulate(
     experiment = Experiment(**{**(file.conditions.of_experiment(count) if file is not None else {}), **settings})
     experiment.check(count)
     rows = _usual_drivers(count, law) if file is None else file.simulated(count)
-    rows = changed(rows, parameters or {}, effects or {})
+    rows = changed(rows, parameters or {}, effects or {}, experiment.road)
     return carry_out(experiment, rows, controlled_by(controlled, controller))
 
 

@@ -89,6 +89,12 @@ class Settings:
         ):
             if is_given and is_paper:
                 raise InputError(f"{option(name)}: the paper's formulation knows none; use the causal formulation")
+        for name in self.effects if self.law != PAPERS else ():
+            if name in EFFECTS and EFFECTS[name].acts_on_preferences:
+                raise InputError(
+                    f"{effects}: {name} acts on the preferences of {PAPERS}, and {self.law} has none; leave out"
+                    f" {name} or {option('law')}"
+                )
         if self.law != PAPERS and self.estimated:
             raise InputError(
                 f"{option('parameters')}: with a law, its parameters, sigma_nu and sigma_a are estimated; leave it out"

@@ -106,8 +106,9 @@ def simulate(options: _SimulateOptions) -> None:
         raise InputError("--view: is for tracks; add --lanes, or leave it out")
     if options.lanes is not None and options.ring:
         raise InputError("--ring: a ring has one lane; leave out --ring or --lanes")
-    if options.lanes is not None and options.controlled is not None:
-        raise InputError("--controlled: is for one lane; leave out --controlled or --lanes")
+    for name in ("controlled", "controller"):
+        if options.lanes is not None and getattr(options, name) is not None:
+            raise InputError(f"--{name}: is for one lane; leave out --{name} or --lanes")
     if options.scene is not None:
         _check_scene(options)
     is_tracks = options.lanes is not None or options.scene is not None
@@ -123,7 +124,7 @@ def simulate(options: _SimulateOptions) -> None:
     )
     experiment.check(vehicles)
     drive = _at_scene if options.scene is not None else _on_one_lane if options.lanes is None else _on_lanes
-    rows = _rows(options, file, vehicles)
+    rows = _rows(options, file, vehicles, experiment)
     with stage("simulating"):
         document, lines = drive(options, experiment, rows, output)
     if options.as_json:
@@ -190,7 +191,7 @@ def _on_lanes(
 
 def _check_scene(options: _SimulateOptions) -> None:
     """Refuse options that a scene does not have."""
-    for name in ("ring", "lanes", "controlled"):
+    for name in ("ring", "lanes", "controlled", "controller"):
         if getattr(options, name):
             raise InputError(f"--{name}: is not for a scene; leave out --{name} or --scene")
     if options.start != "jam":
@@ -237,17 +238,26 @@ def _view(text: str | None) -> tuple[float, float]:
     return first, last
 
 
-def _rows(options: _SimulateOptions, file: "model_file.ModelFile | None", vehicles: int) -> "Array":
+def _rows(
+    options: _SimulateOptions, file: "model_file.ModelFile | None", vehicles: int, experiment: "Experiment"
+) -> "Array":
     """Parameters (N, WIDTH) of N drivers: the paper's or a model file's, changed by --set and --effect."""
     import numpy as np
 
     from sugiyama_ros.driver.parameters import defaults, read_parameters
+    from sugiyama_ros.effects.needs import check_parameter
     from sugiyama_ros.effects.registry import ROW, read_effects
     from sugiyama_ros.fit.model_file import drive_by
     from sugiyama_ros.simulation.experiment import changed
+    from sugiyama_ros.simulation.scenes import road_of
 
+    road = experiment.road if options.scene is None else road_of(options.scene)
     rows = ROW.with_effects(defaults(vehicles)) if file is None else file.simulated(vehicles)
     if options.law != PAPERS:
         rows = np.array([drive_by(row, options.law) for row in rows])
+    if options.spread:
+        check_parameter("v_star", rows, "--spread")
     values = read_parameters(options.parameter or (), "--set")
-    return changed(rows, values, read_effects(options.effect or (), "--effect"))
+    for name in values:
+        check_parameter(name, rows, f"--set {name}")
+    return changed(rows, values, read_effects(options.effect or (), "--effect"), road)

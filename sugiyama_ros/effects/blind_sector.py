@@ -3,7 +3,7 @@
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.line import smooth_step
 from sugiyama_ros.driver.parameters import Parameter
-from sugiyama_ros.effects.effect import ATTENTION, Effect, Seen, at_lines
+from sugiyama_ros.effects.effect import ATTENTION, YIELDS, Effect, Seen, at_lines
 from sugiyama_ros.jit import kernel
 
 # Gap [m] within which the other road comes into view.
@@ -26,6 +26,7 @@ EFFECT = Effect(
     term="attention -> 0 while the line is farther away than the sight",
     source="AASHTO, A Policy on Geometric Design of Highways and Streets (2018), section 9.5 (sight triangles)",
     parameters=(Parameter("sight", "d_s", "m", 0.0, 1.0, 200.0, "gap to the line from which on others are seen"),),
+    needs=(YIELDS,),
     starts=at_lines({"sight": 5.0}, {"sight": 10.0}, {"sight": 20.0}),
     is_limit=True,
     function=_attend,

@@ -4,7 +4,7 @@ import math
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
-from sugiyama_ros.effects.effect import PREFERENCE, Effect, Extent, Seen, Values
+from sugiyama_ros.effects.effect import CURVES, PREFERENCE, Effect, Extent, Seen, Values
 from sugiyama_ros.jit import kernel
 
 
@@ -29,6 +29,7 @@ EFFECT = Effect(
     term="v* -> min(v*, sqrt(lateral / |curvature|))",
     source="Reymond, Kemeny, Droulez and Berthoz, Human Factors 43 (2001) 483",
     parameters=(Parameter("lateral", "a_lat", "m/s^2", 0.0, 0.2, 10.0, "lateral acceleration; 0 for no limit"),),
+    needs=(CURVES,),
     starts=_starts,
     is_limit=True,
     function=_prefer,

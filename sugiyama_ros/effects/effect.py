@@ -23,6 +23,8 @@ PERCEPTION, ATTENTION, PREFERENCE, UTILITY, ACTUATION, ENVIRONMENT, MEASUREMENT 
     "measurement",
 )
 STAGES = (PERCEPTION, ATTENTION, PREFERENCE, UTILITY, ACTUATION, ENVIRONMENT, MEASUREMENT)
+#: What a road may have that some effects need: a ring, places where drivers let others pass, signals, curves.
+RING, YIELDS, SIGNALS, CURVES = NEEDS = ("ring", "yields", "signals", "curves")
 
 
 class Seen(NamedTuple):
@@ -232,6 +234,8 @@ class Effect:
     wanders : tuple of str
         Names of the driver's parameters whose logarithms wander at random (Ornstein-Uhlenbeck). The first two
         parameters of the effect are then the std of the logarithm and the correlation time [s].
+    needs : tuple of str
+        What the road must have for the effect to act, of ``NEEDS``: one of these; nothing if left out.
     starts : callable
         Extent -> sets of values at which a search for the parameters begins. Without sets there is no search.
     strengths : tuple of str
@@ -286,6 +290,7 @@ class Effect:
     measurement_noise_factor: Callable[..., float] | None = None
     contamination: Contamination | None = None
     wanders: tuple[str, ...] = ()
+    needs: tuple[str, ...] = ()
     starts: Callable[[Extent], tuple[Values, ...]] = _no_starts
     strengths: tuple[str, ...] = ()
     individual: bool = False
@@ -308,6 +313,8 @@ class Effect:
         known = {p.name for p in self.parameters}
         if not known or not {*self.switches, *(name for pair in self.ascending for name in pair)} <= known:
             raise InputError(f"effect {self.name}: its strengths must be among its parameters")
+        if not set(self.needs) <= set(NEEDS):
+            raise InputError(f"effect {self.name}: needs {', '.join(self.needs)}; give some of {', '.join(NEEDS)}")
         if any(form.forms for form in self.forms):
             raise InputError(f"effect {self.name}: a form has no forms of its own")
 
@@ -320,6 +327,11 @@ class Effect:
     def switches(self) -> tuple[str, ...]:
         """Names of the parameters that switch the effect on if they are not 0."""
         return self.strengths or (self.parameters[0].name,)
+
+    @property
+    def acts_on_preferences(self) -> bool:
+        """Whether the effect acts on preferences of the paper's drivers alone, which other laws do not have."""
+        return self.stage in (PREFERENCE, UTILITY) or bool(self.wanders)
 
     @property
     def is_noise(self) -> bool:

@@ -2,7 +2,7 @@
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
-from sugiyama_ros.effects.effect import ATTENTION, Effect, Seen, at_lines
+from sugiyama_ros.effects.effect import ATTENTION, YIELDS, Effect, Seen, at_lines
 from sugiyama_ros.jit import kernel
 
 
@@ -20,6 +20,7 @@ EFFECT = Effect(
     term="attention -> (1 - share) attention while who goes first is on the way",
     source="paper, section 7 (merging and roundabouts); the form is this package's: 1 - share is a yield weight",
     parameters=(Parameter("share", "q_y", "1", 0.0, -2.0, 1.0, "part of the attention that is lacking"),),
+    needs=(YIELDS,),
     starts=at_lines({"share": 0.5}, {"share": 0.98}),
     function=_attend,
     least={"share": 0.0},

@@ -5,7 +5,7 @@ import math
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.line import smooth_step
 from sugiyama_ros.driver.parameters import Parameter
-from sugiyama_ros.effects.effect import ATTENTION, Effect, Seen, at_lines
+from sugiyama_ros.effects.effect import ATTENTION, SIGNALS, Effect, Seen, at_lines
 from sugiyama_ros.jit import kernel
 
 # Time [s] within which the attention goes, and speed [m/s] up to which a driver stands.
@@ -29,6 +29,7 @@ EFFECT = Effect(
     term="attention stays for a delay after green while the driver stands",
     source="Highway Capacity Manual, 6th edition (2016), chapter 19 (start-up lost time)",
     parameters=(Parameter("delay", "t_g", "s", 0.0, 0.0, 10.0, "time after green"),),
+    needs=(SIGNALS,),
     starts=at_lines({"delay": 0.6}, {"delay": 1.5}),
     function=_attend,
 )

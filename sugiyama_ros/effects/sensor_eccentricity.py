@@ -4,7 +4,7 @@ import math
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
-from sugiyama_ros.effects.effect import MEASUREMENT, Effect, Extent, Values
+from sugiyama_ros.effects.effect import MEASUREMENT, RING, Effect, Extent, Values
 from sugiyama_ros.jit import kernel
 
 
@@ -53,6 +53,7 @@ _DISTORTION = Effect(
         Parameter("cosine_3", "e_c3", "m", 0.0, -20.0, 20.0, "displacement by three waves at position 0"),
         Parameter("sine_3", "e_s3", "m", 0.0, -20.0, 20.0, "displacement by three waves a twelfth further on"),
     ),
+    needs=(RING,),
     starts=_starts_of_distortion,
     strengths=("cosine_2", "sine_2", "cosine_3", "sine_3"),
     displacement=_distortion,
@@ -69,6 +70,7 @@ EFFECT = Effect(
         Parameter("cosine", "e_c", "m", 0.0, -20.0, 20.0, "displacement at position 0"),
         Parameter("sine", "e_s", "m", 0.0, -20.0, 20.0, "displacement a quarter of the ring further on"),
     ),
+    needs=(RING,),
     starts=_starts,
     strengths=("cosine", "sine"),
     displacement=_displacement,

@@ -4,7 +4,7 @@ import math
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
-from sugiyama_ros.effects.effect import MEASUREMENT, Effect, Extent, Values
+from sugiyama_ros.effects.effect import MEASUREMENT, RING, Effect, Extent, Values
 from sugiyama_ros.jit import kernel
 
 
@@ -33,6 +33,7 @@ EFFECT = Effect(
         Parameter("cosine", "a_c", "1", 0.0, -2.0, 2.0, "logarithm of the factor of the noise's std at position 0"),
         Parameter("sine", "a_s", "1", 0.0, -2.0, 2.0, "logarithm of the factor a quarter of the ring further on"),
     ),
+    needs=(RING,),
     starts=_starts,
     strengths=("cosine", "sine"),
     measurement_noise_factor=_factor,

@@ -23,7 +23,7 @@ from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.experiment import Experiment, changed, set_up
 from sugiyama_ros.simulation.junction import JunctionSimulator
 from sugiyama_ros.simulation.result import parameters_of
-from sugiyama_ros.simulation.scenes import SCENES, scene_simulator
+from sugiyama_ros.simulation.scenes import SCENES, road_of, scene_simulator
 from sugiyama_ros.simulation.simulator import Simulator
 from sugiyama_ros.trajectories.about import SIMULATED
 from sugiyama_ros.trajectories.placing import Positions
@@ -149,7 +149,8 @@ class SimulatorNode(Source):
             length_m=() if given == (0.0,) else given,
         )
         texts = self.texts("effects", "NAME:PARAMETER=VALUE[,...], each")
-        rows = changed(self._drivers(vehicles, model), {}, read_effects(texts, "effects"))
+        road = experiment.road if scene == _ROAD else road_of(scene)
+        rows = changed(self._drivers(vehicles, model), {}, read_effects(texts, "effects"), road)
         numbers = self.vehicles("controlled", "numbers of vehicles that the controller drives; -1: none")
         controller = option("controller", "", "NAME[:KEY=VALUE[,...]]: what drives the controlled vehicles")
         controlled = controlled_by(numbers or None, controller or None)
@@ -187,9 +188,11 @@ class SimulatorNode(Source):
         """Change all drivers, if a parameter of drivers was set."""
         wanted = {p.name: float(p.value) for p in parameters if p.name in NAMES}
         if wanted:
-            s = self.samples.simulator
-            s.change(changed(s.drivers, wanted, {}))
-            self._tell_drivers(range(len(s.length_m)))
+            rows = self.samples.simulator.drivers.copy()
+            for name, value in wanted.items():
+                rows[:, NAMES.index(name)] = value
+            self.samples.simulator.change(rows)
+            self._tell_drivers(range(len(rows)))
 
     def _on_set_driver(self, request: SetDriver.Request, response: SetDriver.Response) -> SetDriver.Response:
         s, vehicle = self.samples.simulator, request.vehicle

@@ -1,6 +1,6 @@
 """A simulated experiment: vehicles start from rest, one behind another, on a ring or an open road."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +8,9 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.controllers.controller import Controlled
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, index
-from sugiyama_ros.effects.registry import switch_on
+from sugiyama_ros.effects.effect import NEEDS, RING
+from sugiyama_ros.effects.needs import check_effect, check_parameter
+from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.result import Simulation
@@ -55,6 +57,11 @@ class Experiment:
     seed: int = 0
     start: str = "jam"
     length_m: tuple[float, ...] = ()
+
+    @property
+    def road(self) -> tuple[str, ...]:
+        """What the road has that effects may need."""
+        return (RING,) if self.ring_m else ()
 
     @property
     def samples(self) -> int:
@@ -114,8 +121,12 @@ def set_up(experiment: Experiment, rows: Array, controlled: Controlled | None = 
 
 
 def spread_out(rows: Array, spread: float, rng: np.random.Generator) -> None:
-    """Let drivers differ: change, in place, v_star and kappa_v of rows (N, width) by factors of this relative std."""
+    """Let drivers differ: change, in place, v_star and kappa_v of rows (N, width) by factors of this relative std.
+
+    Raises InputError where nobody has them.
+    """
     if spread > 0.0:
+        check_parameter("v_star", ROW.with_effects(rows), "spread")
         for k in (V_STAR, KAPPA_V):
             rows[:, k] *= np.exp(spread * rng.standard_normal(len(rows)))
 
@@ -125,11 +136,22 @@ def carry_out(experiment: Experiment, rows: Array, controlled: Controlled | None
     return simulate(set_up(experiment, rows, controlled), experiment.duration_s)
 
 
-def changed(rows: Array, parameters: Mapping[str, float], effects: Mapping[str, Mapping[str, float]]) -> Array:
-    """Return rows (N, width) with other parameters, and with effects switched on. Raises InputError."""
+def changed(
+    rows: Array,
+    parameters: Mapping[str, float],
+    effects: Mapping[str, Mapping[str, float]],
+    road: Collection[str] = NEEDS,
+) -> Array:
+    """Return rows (N, width) with other parameters, and with effects switched on.
+
+    road: what the road has that effects may need; everything if left out. Raises InputError, also for what would do
+    nothing.
+    """
     rows = rows.copy()
     for name, value in parameters.items():
+        check_parameter(name, rows)
         rows[:, index(name)] = value
     for name, values in effects.items():
+        check_effect(name, rows, road)
         rows = switch_on(rows, name, values)
     return rows

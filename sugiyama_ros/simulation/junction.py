@@ -207,8 +207,8 @@ class JunctionSimulator:
     def step(self) -> list[Collision]:
         """Advance all vehicles by one period; returns the collisions."""
         here = self.on_road
-        self._decide(here)
         rows = self._wandering.next_rows(self._rows)[here]
+        self._decide(here, rows)
         own = self.place[here], self.speed[here], self.noise[here]
         place, speed, noise = move(own, self.acceleration[here], rows, self.period_s, self._rng)
         # who stands and does not mean to drive stands still, and nobody rolls back, however long they wait
@@ -233,14 +233,14 @@ class JunctionSimulator:
         see_scene(self._moment(here), self._ways, leader, shift, line)
         return leader, shift, line
 
-    def _decide(self, here: Ints) -> None:
-        """Let the drivers decide what their cars do in the coming period."""
+    def _decide(self, here: Ints, rows: Array) -> None:
+        """Let the drivers decide what their cars do in the coming period; rows (K, width): of those who are here."""
         leader, shift, line = self._see(here)
         order = Order(leader, -shift, self.length_m[here], line)
         past = np.ascontiguousarray(self._past[:, :, here])
         traffic = Traffic(self.place[here], self.speed[here], self.held[here], self.acceleration[here], past)
         held, pushed = np.empty(len(here)), np.empty(len(here))
-        drive(traffic, order, self._rows[here], ACTIONS, self.time_s, self._setting, held, pushed)
+        drive(traffic, order, rows, ACTIONS, self.time_s, self._setting, held, pushed)
         remember(traffic)
         self._past[:, :, here] = past
         self.held[here] = held

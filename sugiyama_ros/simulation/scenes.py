@@ -5,9 +5,11 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from sugiyama_ros.arrays import Array
+from sugiyama_ros.effects.effect import CURVES, SIGNALS, YIELDS
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.roads.examples import crossing, merge, roundabout
 from sugiyama_ros.roads.network import Network
+from sugiyama_ros.roads.scene import lines_of_routes
 from sugiyama_ros.simulation.experiment import spread_out
 from sugiyama_ros.simulation.junction import JunctionRun, JunctionSimulator, demand, simulate_junction
 from sugiyama_ros.simulation.simulator import Clock
@@ -25,6 +27,20 @@ SCENES: Mapping[str, Callable[[], Network]] = {
 PER_HOUR = 900.0
 # Time [s] after the last one has come within which everybody leaves, or never will.
 _LEAVE_S = 600.0
+
+
+def road_of(scene: str) -> tuple[str, ...]:
+    """What a scene has that effects may need. Raises InputError for a scene that is not known."""
+    if scene not in SCENES:
+        raise InputError(f"scene {scene!r}: is not known; give {', '.join(SCENES)}")
+    network = SCENES[scene]()
+    ways = lines_of_routes(network, network.ways())
+    there = {
+        YIELDS: bool((ways.yields & (ways.other >= 0)).any()),
+        SIGNALS: bool(network.signals),
+        CURVES: bool((ways.curvature > 0.0).any()),
+    }
+    return tuple(name for name, is_there in there.items() if is_there)
 
 
 def scene_simulator(scene: str, rows: Array, seed: int, spread: float, period_s: float) -> JunctionSimulator:

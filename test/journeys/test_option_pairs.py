@@ -155,6 +155,7 @@ CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
         ("--controlled", "no --controller"),
         ("--controller", "no --controlled"),
         ("--controlled", "--lanes"),
+        *(("--law", name) for name in ("--spread", "--set")),
     ],
     "calibrate": [
         ("--output old.yaml", "no --overwrite"),
