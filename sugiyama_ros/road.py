@@ -9,8 +9,6 @@ from sugiyama_ros.errors import InputError
 
 #: For which the model makes sense: time [s] between samples, circumference [m] of a ring, length [m] of a vehicle.
 PERIODS_S, RINGS_M, LENGTHS_M = (1e-3, 1e3), (1.0, 1e7), (0.01, 100.0)
-# The equator [m], rounded up.
-_ROUND_THE_EARTH_M = 4.1e7
 
 
 @dataclass(frozen=True)
@@ -25,13 +23,13 @@ class Road:
     Raises
     ------
     InputError
-        If the circumference is negative, or longer than once round the earth.
+        If the circumference is negative, or longer than any ring.
     """
 
     circumference_m: float = 0.0
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.circumference_m <= _ROUND_THE_EARTH_M:
+        if not 0.0 <= self.circumference_m <= RINGS_M[1]:
             raise InputError(
                 f"ring: {self.circumference_m} m is not a circumference; give a positive length, or 0 for an open road"
             )
