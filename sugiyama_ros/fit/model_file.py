@@ -382,4 +382,4 @@ def _goals(path: Path, given: Any) -> KnownGoals:
 
 def _wrong(error: Exception) -> str:
     """What is wrong with a document that raises an error when it is read."""
-    return f"{error} is missing" if isinstance(error, KeyError) else f"cannot be read ({error})"
+    return f"{error} is missing" if isinstance(error, KeyError) else "is not of the form that a model file has"
