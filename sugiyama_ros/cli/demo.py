@@ -3,7 +3,7 @@
 import math
 import os
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,6 +20,8 @@ from sugiyama_ros.results import TextTable, plain
 if TYPE_CHECKING:
     from sugiyama_ros.diagnosis.diagnose import Diagnosis
     from sugiyama_ros.nodes.run import RunResult
+    from sugiyama_ros.page.above import Above
+    from sugiyama_ros.simulation.junction import JunctionRun
     from sugiyama_ros.trajectories.tracks import Tracks
 
 _OWN = "sugiyama-demo.mcap"
@@ -73,13 +75,16 @@ def demo(options: _DemoOptions) -> None:
     if options.data is not None and options.scene is not None:
         raise InputError("--scene: is for simulated drivers; leave out --scene or --data")
     truth: dict[str, Any] = {}
+    above = None
     if options.data is not None:
         most, tracks = FEW_STEPS, read_tracks(options.data, Choices(ring_m=options.ring))
+    elif options.scene is not None:
+        most, (tracks, truth, above) = 1, _at_scene(options.scene, options.hidden, options.seed)
     else:
-        most, (tracks, truth) = 1, _simulated(options.hidden, options.seed, options.scene)
+        most, (tracks, truth) = 1, _simulated(options.hidden, options.seed)
     before, found, after = _before_and_after(tracks, recording, options.seed, most)
     told = _document(found, truth)
-    write_report(read_recording(recording.path), told, page)
+    write_report(replace(read_recording(recording.path), above=above), told, page)
     if options.show:
         show_page(str(page.path))
     rmse = [math.sqrt(sum(d.one_step_rmse_m**2 for d in r.drivers) / len(r.drivers)) for r in (before, after)]
@@ -107,12 +112,10 @@ def _document(found: "Diagnosis", truth: dict[str, Any]) -> dict[str, Any]:
     return told
 
 
-def _simulated(hidden: str | None, seed: int, scene: str | None) -> tuple["Tracks", dict[str, Any]]:
+def _simulated(hidden: str | None, seed: int) -> tuple["Tracks", dict[str, Any]]:
     """A simulated experiment with a hidden effect, and the truth for the document."""
     from sugiyama_ros.studies.effects import DEMONSTRATED, STRENGTHS, hide
 
-    if scene is not None:
-        return _at_scene(scene, hidden, seed)
     hidden = hidden or "slow_patch"
     if hidden not in STRENGTHS:
         raise InputError(f"--hidden {hidden}: is not known; give one of {', '.join(STRENGTHS)}")
@@ -121,15 +124,32 @@ def _simulated(hidden: str | None, seed: int, scene: str | None) -> tuple["Track
     return simulated.measured, {"hidden": {"name": hidden, "parameters": dict(values)}}
 
 
-def _at_scene(scene: str, hidden: str | None, seed: int) -> tuple["Tracks", dict[str, Any]]:
-    """Drivers with a hidden effect who meet, and the truth for the document."""
+def _at_scene(scene: str, hidden: str | None, seed: int) -> tuple["Tracks", dict[str, Any], "Above"]:
+    """Drivers with a hidden effect who meet, the truth for the document, and the scene from above."""
     from sugiyama_ros.studies.scenes import HIDDEN, hide_at_scene
 
     if scene not in HIDDEN:
         raise InputError(f"--scene {scene}: is not known; give {' or '.join(HIDDEN)}")
     run, name, values = hide_at_scene(scene, hidden, seed)
-    print_note(f"{len(run.travellers)} simulated drivers, scene {scene}. They have an effect that the model lacks.")
-    return run.measured, {"hidden": {"name": name, "parameters": dict(values)}}
+    print_note(
+        f"{len(run.travellers)} simulated drivers, scene {scene}. They have an effect that the model lacks. To find it"
+        " takes some minutes."
+    )
+    return run.measured, {"hidden": {"name": name, "parameters": dict(values)}}, _above(run)
+
+
+def _above(run: "JunctionRun") -> "Above":
+    """The network of a run from above, with the ways of its drivers."""
+    import numpy as np
+
+    from sugiyama_ros.page.above import Above
+
+    ways = []
+    for path in run.paths:
+        place = np.linspace(0.0, path.length_m, math.ceil(path.length_m) + 1, dtype=np.float64)
+        ways.append(np.array([place, *path.at(place)[:2]]))
+    lanes = tuple(np.array([lane.x_m, lane.y_m]) for lane in run.network.lanes)
+    return Above(lanes, {i: ways[one.route] for i, one in enumerate(run.travellers)})
 
 
 def _print(told: dict[str, Any], rmse: list[float], recording: Output, page: Output) -> None:

@@ -13,6 +13,7 @@ from sugiyama_ros.driver.parameters import NAMES, UTILITY
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.laws.registry import LAWS
+from sugiyama_ros.page.above import Above
 from sugiyama_ros.results import Result, space_time
 from sugiyama_ros.trajectories.about import SIMULATED
 from sugiyama_ros.trajectories.dense import DenseTracks
@@ -83,6 +84,8 @@ class Recording(Result):
         The bag.
     model : str
         Model file that the estimators started from; empty without one.
+    above : Above, optional
+        The lanes from above, and the ways of the vehicles, where they are known.
     """
 
     trajectories: DenseTracks
@@ -97,6 +100,7 @@ class Recording(Result):
     added: tuple[str, ...] = ()
     path: Path | None = None
     model: str = ""
+    above: Above | None = None
 
     def headline(self) -> str:
         """Say what was recorded, and how large the one-step errors are."""

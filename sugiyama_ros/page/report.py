@@ -157,8 +157,8 @@ def _measured(r: Recording, d: Mapping[str, Any] | None, chosen: Chosen) -> list
     driven = measured.simulated(r, d, first) if d is not None else []
     title = f"What was {'simulated' if r.is_simulated else 'measured'}"
     road = [measured.speed_profile(r), measured.ring(r, chosen)]
-    # a ring needs a square, a road that is straight on the whole width
-    name = "ring" if r.trajectories.road.is_ring else "road"
+    # a ring and a network need a square, a road that is straight on the whole width
+    name = "ring" if r.trajectories.road.is_ring or r.above is not None else "road"
     return [
         _Section("seen", title, _text(_FREE_RUNS) if driven else "", [[first, *driven]]),
         _Section(name, "The road", "", [road]),
@@ -444,6 +444,8 @@ def _tile(title: str, about: str, key: str, errors: Mapping[str, Any]) -> str:
         number = f"{' → '.join(ends)} {unit}{change if len(ends) > 1 else ''}"
     laws = sorted((model for model in of if model not in MODELS), key=lambda model: of[model])[:_LAWS]
     own = ("before", "after") if is_changed else ("before",)
+    if ahead := [model_name(law) for law in laws if own[-1] in of and of[law] < of[own[-1]]]:
+        about += f"; smaller with another law: {', '.join(ahead)}"
     # a law that goes astray may leave the picture
     full, bars = 1.5 * max([*known, 1e-9]), ""
     for model in (model for model in (*own, *laws, "floor") if model in of):

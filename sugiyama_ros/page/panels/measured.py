@@ -21,6 +21,7 @@ from bokeh.palettes import Cividis256
 from PIL import Image
 
 from sugiyama_ros.arrays import Array, Mask
+from sugiyama_ros.page.above import Above
 from sugiyama_ros.page.panels.base import (
     BLUE,
     CHOSEN,
@@ -64,7 +65,8 @@ def ring(r: Recording, chosen: Chosen) -> UIElement:
     """The road from above, at a time that a slider or a button chooses."""
     t = r.trajectories
     speed = speeds(r)
-    x, y = from_above(t.road, t.position_m)
+    in_plane = t.road.is_ring or r.above is not None
+    x, y = from_above(t.road, t.position_m) if r.above is None else r.above.at(t.vehicle, t.position_m)
     every = max(1, len(x) // 1500)
     frames = {
         "x": np.round(x[::every], 2).astype(SINGLE),
@@ -76,10 +78,12 @@ def ring(r: Recording, chosen: Chosen) -> UIElement:
     # the first speeds are not known yet; in the middle, there is something to see
     first = last // 2
     shown = ColumnDataSource({**{n: v[first] for n, v in frames.items()}, "vehicle": [str(v) for v in t.vehicle]})
-    labels = ("x [m]", "y [m]") if t.road.is_ring else ("position [m]", "")
-    plot = panel("The road from above", *labels, match_aspect=t.road.is_ring)
-    plot.yaxis.visible = plot.ygrid.visible = t.road.is_ring
-    if t.road.is_ring:
+    labels = ("x [m]", "y [m]") if in_plane else ("position [m]", "")
+    plot = panel("The road from above", *labels, match_aspect=in_plane)
+    plot.yaxis.visible = plot.ygrid.visible = in_plane
+    if r.above is not None:
+        plot.multi_line(*_lanes(r.above), color=GREY, line_width=6, line_alpha=0.35, line_cap="round")
+    elif t.road.is_ring:
         plot.line(
             *from_above(t.road, np.asarray(np.linspace(0.0, t.road.circumference_m, 181), dtype=np.float64)),
             color=GREY,
@@ -116,6 +120,12 @@ def ring(r: Recording, chosen: Chosen) -> UIElement:
         )
     )
     return column(plot, row(play, slider, sizing_mode="stretch_width"), sizing_mode="stretch_width")
+
+
+def _lanes(above: Above) -> tuple[list[Array], list[Array]]:
+    """Coordinates [m] of the points of each lane."""
+    x, y = zip(*above.lanes, strict=True)
+    return [one.astype(SINGLE) for one in x], [one.astype(SINGLE) for one in y]
 
 
 def places(r: Recording) -> Array:
