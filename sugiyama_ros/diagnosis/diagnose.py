@@ -31,6 +31,7 @@ from sugiyama_ros.fit.joint import JointFit, maximise
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.model_file import write_model
 from sugiyama_ros.fit.preparation import prepare
+from sugiyama_ros.fit.profile import profiled
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.simulated import resampled_fits, seeds
 from sugiyama_ros.fit.standard_errors import shared_stds
@@ -367,7 +368,7 @@ def _told(bench: _Bench, first: Entry, found: _Scored, names: Sequence[str]) -> 
     for name in names:
         scored = [own[0].candidate for own in found.by_name.values()]
         candidate = chosen(bench.data, [*bench.possible, *scored], name)
-        entry = _fitted(bench, current, candidate, found)
+        entry = _profiled(bench, current, _fitted(bench, current, candidate, found))
         won = {e: e.over(bench.data, current) for e in (entry, *_other_forms(bench, current, found, [entry]))}
         rounds.append(Round(current, found.best, found.chance, won, entry, won[entry]))
         current = entry
@@ -411,6 +412,9 @@ def _round(bench: _Bench, current: Entry, found: _Scored) -> Round:
         won |= {e: e.over(bench.data, current) for e in _other_forms(bench, current, found, fitted)}
     added, alike = _best(bench, won)
     if added is not None:
+        gain = won.pop(added)
+        added = _profiled(bench, current, added)
+        won[added] = added.over(bench.data, current) if added.fit.stds else gain
         added = _without_needless(bench, current, added)
     return Round(
         current=current,
@@ -421,6 +425,16 @@ def _round(bench: _Bench, current: Entry, found: _Scored) -> Round:
         gain={} if added is None else added.over(bench.data, current),
         alike=tuple(alike),
     )
+
+
+def _profiled(bench: _Bench, current: Entry, entry: Entry) -> Entry:
+    """The model with what all drivers decide by at the vertex of its profile, where derivatives say nothing of it."""
+    places = [k for c in entry.added if c.is_decision and not c.drivers for k in c.places]
+    fit = entry.fit
+    for place in places:
+        bench.on_progress("profile of what drivers decide by", 0, 1)
+        fit = profiled(bench.data, fit, place, bench.work)
+    return entry if fit is entry.fit else bench.entry(entry.name, entry.added, fit, current.models)
 
 
 def _without_needless(bench: _Bench, current: Entry, entry: Entry) -> Entry:

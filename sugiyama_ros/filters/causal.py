@@ -49,7 +49,7 @@ from sugiyama_ros.filters.abreast import (
     update,
 )
 from sugiyama_ros.filters.chain import NOT_ADAPTED, Adaptation, Chain, adaptation_of, chain_parameters
-from sugiyama_ros.filters.predict import add_all_components, aim, linearise
+from sugiyama_ros.filters.predict import add_all_components, aim, has_line, linearise
 from sugiyama_ros.filters.state import (
     LOOKED_AT,
     MOVING,
@@ -67,6 +67,7 @@ from sugiyama_ros.filters.state import (
 )
 from sugiyama_ros.filters.update import (
     SETTLING,
+    decides_otherwise,
     forget_vehicle,
     gross_in_a_row,
     innovation,
@@ -350,10 +351,12 @@ def _compare(c: int, t: int, m: int, observed: Observed, filters: _Filters, scen
         predicted.innovation[c, t] = y
         if filters.settled[c, m] > SETTLING:
             predicted.log_likelihood[c, t] = log_density(y, variance, parameters[m])
-    if is_contaminated(parameters[m]):
-        before = state.covariance[x, x]
+    before = state.covariance[x, x]
+    if has_line(m, observed.around[c, t]):
+        decides_otherwise(m, y, variance, state, scene)
+    elif is_contaminated(parameters[m]):
         filters.gross[c, m] = gross_in_a_row(m, filters.gross[c, m], y, variance, True, state, scene)
-        variance += slope * slope * (state.covariance[x, x] - before)
+    variance += slope * slope * (state.covariance[x, x] - before)
     step, shrink = weights(y, variance, parameters[m])
     sample[SLOPE, c], sample[OFF, c], sample[STEP, c], sample[SHRINK, c] = slope, -y, step, shrink
 

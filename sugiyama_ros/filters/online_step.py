@@ -19,7 +19,7 @@ from sugiyama_ros.effects.shared import contaminated_normal
 from sugiyama_ros.filters.alarm import Alarm, check_style, observe, predict_alarm, reset_alarm, update_alarm
 from sugiyama_ros.filters.chain import AROUND
 from sugiyama_ros.filters.noise import Noises, forget_noises, learn_noises, predict_noises, start_noises, update_noises
-from sugiyama_ros.filters.predict import clear, linearise, linearise_chain, predict
+from sugiyama_ros.filters.predict import clear, has_line, linearise, linearise_chain, predict
 from sugiyama_ros.filters.state import (
     LOOKED_AT,
     MOVING,
@@ -34,6 +34,7 @@ from sugiyama_ros.filters.state import (
 )
 from sugiyama_ros.filters.update import (
     SETTLING,
+    decides_otherwise,
     forget_vehicle,
     gross_in_a_row,
     innovation,
@@ -420,7 +421,11 @@ def _compare(online: Online) -> None:
         if missing:
             continue
         contaminated = is_contaminated(row)
-        book.gross[m] = gross_in_a_row(m, book.gross[m], y, variance, contaminated, state, online.step.scene)
+        if has_line(m, online.sample.around):
+            decides_otherwise(m, y, variance, state, online.step.scene)
+            book.gross[m] = 0
+        else:
+            book.gross[m] = gross_in_a_row(m, book.gross[m], y, variance, contaminated, state, online.step.scene)
         book.part[m] = _REFUSED if book.gross[m] > 0 and not contaminated else TAKEN
     if not math.isnan(result[_INNOVATION_M]):
         _learn(online)

@@ -94,7 +94,7 @@ def _aim_driver(m: int, step: FilterStep, free: int) -> int:
     places, work, _, _ = _cubature_of(m, step)
     recalled = recall(m, state, drivers, step.scene.period_s)
     view = _view_of(m, state, drivers)
-    size = _look(m, view, recalled, len(known), len(adapted), _has_line(m, step), places)
+    size = _look(m, view, recalled, len(known), len(adapted), has_line(m, step.around), places)
     step.points[m, 0], step.points[m, 1] = size, free
     cholesky(state.covariance, places, size, work)
     centre = size
@@ -138,9 +138,9 @@ def _view_of(m: int, state: State, drivers: Drivers) -> int:
 
 
 @kernel(allocates=False)
-def _has_line(m: int, step: FilterStep) -> bool:
-    """Whether driver m comes to a line before which they may have to wait."""
-    return m < 2 and not math.isnan(step.around[3 + 4 * m])
+def has_line(m: int, around: Array) -> bool:
+    """Whether driver m comes to a line before which they may have to wait; around: (11,) as of ``Chain``."""
+    return m < 2 and not math.isnan(around[3 + 4 * m])
 
 
 @kernel(allocates=False)
@@ -245,7 +245,7 @@ def _surroundings(m: int, step: FilterStep) -> Seen:
     line, line_gap, arrive_s, clear_s, curvature = 3 + 4 * m, np.inf, np.inf, np.inf, 0.0
     if m < 2 and not math.isnan(around[line + 3]):
         curvature = around[line + 3]
-    if _has_line(m, step):
+    if has_line(m, step.around):
         line_gap, arrive_s, clear_s = around[line] - mean[x] - 0.5 * length[m], around[line + 1], around[line + 2]
     acceleration = mean[x + 3] + parameters[m, RHO] * mean[x + 2]
     # where the chain holds no past: as far as the present accelerations tell
@@ -295,7 +295,7 @@ def _seen_at(here: Seen, work: Array, m: int, size: int, view: int, step: Filter
         acceleration += parameters[m, RHO] * (work[look, 3] - work[centre, 3])
         leader_acceleration += leader_rho * (work[look, 4] - work[centre, 4])
     line_gap = here.line_gap
-    if _has_line(m, step):
+    if has_line(m, step.around):
         own = size - 1 - (len(step.drivers.adapted) if m == 0 else 0)
         line_gap -= work[look, own] - work[centre, own]
     past = past_gap, past_speed, past_leader_speed
@@ -311,7 +311,7 @@ def add_all_components(step: FilterStep) -> bool:
     found = False
     for m in range(len(step.state.known) - 1):
         moves = step.state.known[m] == MOVING and not is_last(m, step.state.known)
-        if moves and (has_components(step.drivers.parameters[m]) or _has_line(m, step)):
+        if moves and (has_components(step.drivers.parameters[m]) or has_line(m, step.around)):
             _add_components(m, step)
             found = True
     return found

@@ -18,6 +18,10 @@ SETTLING = 6
 GROSS = 36.0
 # The same where outliers are part of the model, and how many gross errors in a row can be errors of the measurement.
 _GROSS_OUTLIER, _MOST_GROSS = 9.0, 3
+# Squared normalised innovation that shows that a driver at a line does the other thing: goes on, or stops.
+_OTHER_WAY = 9.0
+# Periods over which the speed has been wrong then: what a driver chooses shows in the position a period later.
+_DECIDED = 2
 # Acceleration [m/s^2] for which a speed from two positions allows.
 _START_ACCELERATION_STD = 1.0
 
@@ -163,10 +167,29 @@ def gross_in_a_row(
         return 0
     if before < _MOST_GROSS:
         return before + 1
-    x, v, over = STATE * m, STATE * m + 1, (_MOST_GROSS + 1) * scene.period_s
-    covariance = state.covariance
+    _let_go(m, y, (_MOST_GROSS + 1) * scene.period_s, state)
+    return 0
+
+
+@kernel(allocates=False)
+def decides_otherwise(m: int, y: float, variance: float, state: State, scene: Scene) -> bool:
+    """Whether the driver of vehicle m, who is at a line, does not do what the filter is sure of; then it is let go.
+
+    At a line a driver stops or goes on, and a small difference of speed or place decides it. The filter's normal
+    distribution holds one of both. If that is the wrong one, the filter is soon sure of it, and cannot be corrected.
+    Arguments as of ``gross_in_a_row``.
+    """
+    if y * y <= _OTHER_WAY * variance:
+        return False
+    _let_go(m, y, _DECIDED * scene.period_s, state)
+    return True
+
+
+@kernel(allocates=False)
+def _let_go(m: int, y: float, over: float, state: State) -> None:
+    """Let the position of vehicle m be wrong by an innovation y [m], and the speed by as much over some time [s]."""
+    x, v, covariance = STATE * m, STATE * m + 1, state.covariance
     covariance[x, x] += y * y
     covariance[x, v] += y * y / over
     covariance[v, x] += y * y / over
     covariance[v, v] += 2.0 * y * y / over**2
-    return 0

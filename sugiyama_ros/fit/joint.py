@@ -6,9 +6,9 @@ keeps them from step to step. It computes them again at the end, and where a ste
 gain. Without shared parameters each driver moves independently and stops on reaching the maximum.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -38,13 +38,15 @@ _STEPS, _RENEWALS = 12, 5
 class JointFit:
     """A model of all drivers, its predictions of all samples, and score and information of each driver.
 
-    beside: the fit from which the model has the parameters that it holds.
+    beside: the fit from which the model has the parameters that it holds; stds: standard errors of shared parameters by
+    name, where a profile has said them.
     """
 
     model: Model
     samples: PointwiseDensity
     slopes: tuple[Slopes, ...]
     beside: "JointFit | None" = None
+    stds: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def log_likelihood(self) -> float:
@@ -205,6 +207,11 @@ def _mixed(here: JointFit, there: JointFit, better: Mask) -> JointFit:
         rows[i], slopes_[i] = there.model.rows[i], there.slopes[i]
         samples.put(i, there.samples.of(i))
     return JointFit(replace(here.model, rows=rows), samples, tuple(slopes_))
+
+
+def best_of_each(one: JointFit, other: JointFit) -> JointFit:
+    """Return the better fit for each driver, of two fits without shared parameters."""
+    return _mixed(one, other, other.objectives() > one.objectives())
 
 
 #: Largest prior std of a parameter's coordinate (a logarithm for most), also before the spread is known.

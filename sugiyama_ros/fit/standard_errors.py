@@ -87,7 +87,7 @@ def shared_stds(data: Recorded, fitted: JointFit, work: Executor) -> dict[str, f
     # from a coordinate to the parameter itself: d p = p d log p
     size = np.array([np.abs(model.rows[model.has[:, j], k]).max(initial=0.0) for j, k in enumerate(shared)])
     stds *= np.where(is_linear(shared), 1.0, size)
-    return dict(zip((ROW.entries[k] for k in shared), stds.tolist(), strict=True))
+    return dict(zip((ROW.entries[k] for k in shared), stds.tolist(), strict=True)) | dict(fitted.stds)
 
 
 def _stretch(data: Recorded, fitted: JointFit, direction: Array, lifts: Array, work: Executor) -> float:
