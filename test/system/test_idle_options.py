@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from sugiyama_ros import cli
+from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.cli.simulate import _SimulateOptions
 from sugiyama_ros.driver.parameters import NAMES, defaults
 from sugiyama_ros.effects.effect import CURVES, RING, SIGNALS, YIELDS, Extent
@@ -162,3 +163,12 @@ def test_the_cure_works():
     with pytest.raises(InputError, match=r"^effect late_start: does nothing on a road without a signal; leave it out"):
         check_effect("late_start", rows, road_of("roundabout"))
     check_effect("late_start", rows, road_of("signals"))
+
+
+def test_calibrate_refuses_what_a_law_does_not_have():
+    with pytest.raises(
+        InputError, match=r"^--effects: slow_patch acts on the preferences of adaptive_seek, and idm has"
+    ):
+        Settings(law="idm", effects=("slow_patch",)).check("--{}".format)
+    Settings(law="idm", effects=("drag",)).check("--{}".format)
+    Settings(effects=("slow_patch",)).check("--{}".format)
