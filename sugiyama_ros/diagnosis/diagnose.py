@@ -8,7 +8,8 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Literal
 
@@ -271,12 +272,12 @@ def diagnose(
     with ThreadPoolExecutor(workers) as work:
         on_progress("fitting the base model", 0, 1)
         data, base = base_model(prepare(recording), work, law)
-        bench = _bench(data, seed, simulations, work, on_progress)
+        bench = _Bench(data, simulations, seed, work, on_progress)
         found = _scored(bench, base)
         is_open = found.chance.shows_something
         if is_open and (finer := with_more_decisions(recording, data, base, work, on_progress, law)) is not None:
             data, base = finer
-            bench = _bench(data, seed, simulations, work, on_progress)
+            bench = _Bench(data, simulations, seed, work, on_progress)
             found = _scored(bench, base)
         first = bench.entry("base", (), base)
         rounds = _told(bench, first, found, add) if add else _searched(bench, first, found, most)
@@ -288,12 +289,16 @@ class _Bench:
     """What all rounds of a diagnosis share."""
 
     data: Recorded
-    possible: tuple[Candidate, ...]
     simulations: int
     seed: int
     work: ThreadPoolExecutor
     on_progress: OnStage
-    known: dict[JointFit, list[tuple[Recorded, JointFit]]]
+    known: dict[JointFit, list[tuple[Recorded, JointFit]]] = field(default_factory=dict)
+
+    @cached_property
+    def possible(self) -> tuple[Candidate, ...]:
+        """All candidates, without forces."""
+        return candidates(self.data)
 
     def entry(self, name: str, added: tuple[Candidate, ...], fit: JointFit, beside: Sequence[Model] = ()) -> Entry:
         """A fitted model with its held-out forecasts; ``beside``: models without folds of the fit that it extends."""
@@ -306,10 +311,6 @@ class _Bench:
             rngs = seeds(self.seed, self.simulations)
             self.known[fit] = resampled_fits(self.data, fit, rngs, self.work, self.on_progress)
         return self.known[fit]
-
-
-def _bench(data: Recorded, seed: int, simulations: int, work: ThreadPoolExecutor, on_progress: OnStage) -> _Bench:
-    return _Bench(data, candidates(data), simulations, seed, work, on_progress, {})
 
 
 @dataclass(frozen=True, eq=False)

@@ -102,7 +102,8 @@ def _from_rows(data: Recorded, fitted: JointFit, rows: Array, folds: Sequence[in
 
 def without(data: Recorded, fitted: JointFit, candidate: Candidate, work: Executor) -> JointFit:
     """Return a fitted model without one of its candidates; its parameters are still to be fitted again."""
-    model, entries = fitted.model, _entries(candidate)
+    model = fitted.model
+    entries = sorted({*candidate.places, *(k for start in candidate.starts for k in start)})
     rows, ahead = model.rows.copy(), model.ahead.copy()
     rows[:, entries] = ahead[:, entries] = [ROW.declared[k].default for k in entries]
     own = [j for j, k in enumerate(model.individual) if k not in candidate.places]
@@ -116,11 +117,6 @@ def without(data: Recorded, fitted: JointFit, candidate: Candidate, work: Execut
         few=tuple((k, who) for k, who in model.few if k not in candidate.places),
     )
     return renewed(data, _beside(data, fitted, less, work), work)
-
-
-def _entries(candidate: Candidate) -> list[int]:
-    """Entries of the rows that a candidate sets."""
-    return sorted({*candidate.places, *(k for start in candidate.starts for k in start)})
 
 
 def _starts(model: Model, score: Score) -> list[Model]:
