@@ -194,9 +194,12 @@ def info(
     Of trajectories: vehicles, classes, lanes, time and leaders. Of an MCAP file: topics, as `ros2 bag info` does.
     """
     from sugiyama_ros.formats.choices import Choices
-    from sugiyama_ros.formats.roads import read_road
 
-    choices = Choices(ring_m=ring, network=None if road_file is None else read_road(road_file))
+    choices = Choices(ring_m=ring)
+    if road_file is not None:
+        from sugiyama_ros.formats.roads import read_road
+
+        choices = dataclasses.replace(choices, network=read_road(road_file))
     documents = []
     for number, file in enumerate(files):
         if number and not as_json:

@@ -104,7 +104,8 @@ VALUES: Mapping[str, Sequence[str]] = {
     "fetch --directory": (".", "state"),
     "fetch --url": ("URL",),
     "FILE": ("run.mcap", "ring.mcap"),
-    "info FILES": ("run.mcap", "ring.csv", "tracks.parquet", "ring.csv tracks.parquet"),
+    "info FILES": ("run.mcap", "ring.csv", "tracks.parquet", "ring.csv tracks.parquet", "plane.csv"),
+    "info --road-file": ("road.csv",),
     "echo TOPIC": ("/measured", "/road"),
     "recover FILE": ("cut.mcap", "run.mcap"),
 }
@@ -120,7 +121,11 @@ _CAUSAL = ("no --formulation", "--formulation causal")
 #: What is refused, by command: values that contradict each other. An option stands for each of its values, and "no
 #: --option" for its absence.
 CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
-    "info": [("run.mcap", "--ring")],
+    "info": [
+        ("run.mcap", "--ring"),
+        ("plane.csv", "no --road-file"),
+        *((file, "--road-file") for file in VALUES["info FILES"] if file != "plane.csv"),
+    ],
     "demo": [
         ("--output old.mcap", "no --overwrite"),
         ("--data ring.csv", "no --ring"),
