@@ -20,11 +20,11 @@ _FAILED, _REFUSED, _INTERRUPTED = 1, 2, 130
 def main() -> None:
     """Entry point of the console script."""
     try:
+        _open_standard_streams()
         interrupts.remember()
         # The work is shared out over drivers. Threads of the linear algebra would only take processor time from it.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         sys.unraisablehook = _say_unless_half_made
-        _open_standard_streams()
         code = _run()
         sys.stdout.flush()
     except SugiyamaError as error:
