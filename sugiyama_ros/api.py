@@ -321,8 +321,8 @@ def compare(
     effects : sequence of str
         Names of effects that are added to the base model.
     model : str or Path, optional
-        Model file that is compared as it is, without a fit. If it was fitted to this recording, its errors are in
-        sample.
+        Model file. What it says of the road and of all drivers is taken as it is, and each driver's own parameters are
+        fitted to this recording. If the file was fitted to this recording, it is taken as it is, in sample.
     seed : int
         Seed of all random numbers.
 

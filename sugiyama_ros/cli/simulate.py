@@ -96,7 +96,7 @@ def simulate(options: _SimulateOptions) -> None:
     """Simulate drivers on a ring, an open road or a junction.
 
     The file has the positions that a camera would measure. An MCAP file also has the truth about each vehicle. The
-    first vehicle starts at 0 m and all others behind it.
+    first vehicle starts at 0 m, behind all others.
     """
     print_cautions(options.model)
     from sugiyama_ros.fit.model_file import drivers_of

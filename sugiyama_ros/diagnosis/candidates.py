@@ -32,6 +32,8 @@ FORCE, FORCE_ALONG = "discovered_force", "force_along_"
 PUSH = "external_push"
 # Lengths of a run of innovations [s] that are tried for a push; acceleration [m/s^2] at which its search begins.
 _RUNS_S, _PUSH = (1.0, 2.0, 4.0), 0.5
+# How long before a run the push has its middle, over the length of the run.
+_BEFORE = (0.0, 0.5, 1.0)
 # Sizes at which an effect is scored whose only start has one strength, over this strength.
 _SIZES = (1.0, 0.25, 4.0)
 #: What is added to the name of a candidate that only some drivers have.
@@ -272,24 +274,17 @@ def push_of_one(data: Recorded, samples: PointwiseDensity) -> Candidate | None:
         total = np.cumsum(np.pad(z, ((0, 0), (1, 0))), axis=1)
         sums = (total[:, length:] - total[:, :-length]) / math.sqrt(length)
         car, at = divmod(int(np.argmax(np.abs(sums))), sums.shape[1])
-        # runs that overlap by half count as one place
-        places += 2.0 * scored.sum() / length
+        # runs that overlap by half count as one place, and each is tried with several starts
+        places += 2.0 * len(_BEFORE) * scored.sum() / length
         there.append(0.5 * np.square(sums).ravel())
         if abs(sums[car, at]) > abs(best[0]):
             best = (float(sums[car, at]), car, at, run_s)
     value, car, at, run_s = best
     if not run_s:
         return None
-    index = {p.name: index_of(PUSH, p.name) for p in EFFECTS[PUSH].parameters}
-    spared = np.ones(data.drivers)
-    spared[car] = 0.0
-    start: Start = {
-        index["strength"]: math.copysign(_PUSH, value),
-        # the innovations of a pushed car are of one sign from the push on, until the filter has understood
-        index["time"]: float(around.time_s[at, car]),
-        index["duration"]: 0.5 * run_s,
-        index["spared"]: spared,
-    }
-    own = tuple(index[name] for name in ("strength", "time", "duration"))
+    own = tuple(index_of(PUSH, name) for name in ("strength", "time", "duration"))
+    # the innovations of a pushed car are of one sign from the push on, until the filter has understood
+    strength, at_s = math.copysign(_PUSH, value), float(around.time_s[at, car])
+    starts = tuple(dict(zip(own, (strength, at_s - b * run_s, 0.5 * run_s), strict=True)) for b in _BEFORE)
     by_chance = Tail.of(np.concatenate(there)).gain_at(math.log(places))
-    return Candidate(PUSH, PUSH, "effect", own, (start,), switches=own[:1], look_elsewhere_nats=by_chance)
+    return Candidate(PUSH, PUSH, "effect", own, starts, switches=own[:1], drivers=(car,), look_elsewhere_nats=by_chance)

@@ -481,7 +481,7 @@ def _concluded(bench: _Bench, rounds: list[Round], asked: tuple[str, ...], simul
     bench.on_progress("checking the final model", 0, 1)
     simulated = bench.simulated(final.fit)
     own = [forecasts(one, without_folds(one, fitted, work), work) for one, fitted in simulated]
-    rivals = laws(data, final, work)
+    ends, rivals = [errors(one) for one in own], laws(data, final, work)
     found = [*checks(data, final, simulated, own, bench.seed, work), *_left(rounds, data, final, rivals)]
     return Diagnosis(
         data=data,
@@ -489,7 +489,7 @@ def _concluded(bench: _Bench, rounds: list[Round], asked: tuple[str, ...], simul
         base=base,
         final=final,
         laws=rivals,
-        floor=_mean_of([errors(one) for one in own]),
+        floor={name: float(np.mean([one[name] for one in ends])) for name in ends[0]},
         checks=judged(found),
         where_before=locate(data, base.fit.model, base.forecasts.samples, work),
         where_after=locate(data, final.fit.model, final.forecasts.samples, work),
@@ -502,10 +502,6 @@ def _concluded(bench: _Bench, rounds: list[Round], asked: tuple[str, ...], simul
         seed=bench.seed,
         wall_s=time.monotonic() - began,
     )
-
-
-def _mean_of(several: Sequence[dict[str, float]]) -> dict[str, float]:
-    return {name: float(np.mean([one[name] for one in several])) for name in several[0]} if several else {}
 
 
 def _smallest(first: Round) -> Iterator[dict[str, Any]]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.diagnosis.candidates import FORCE, Candidate, candidates, chosen, with_candidate
+from sugiyama_ros.diagnosis.candidates import FORCE, PUSH, Candidate, candidates, chosen, with_candidate
 from sugiyama_ros.diagnosis.score import Score, ScoreOfSome, scores
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.coordinates import is_linear
@@ -16,6 +16,8 @@ from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.slopes import no_density
 
+# Places of what happens once, in one car at one moment.
+_ONCE = range(ROW.width)[ROW.places[PUSH]]
 # Steps of a fit without a fold, which is near.
 _STEPS_WITHOUT = 3
 
@@ -96,7 +98,9 @@ def _without_fold(data: Recorded, fitted: JointFit, folds: Sequence[int], work: 
 
 def _from_rows(data: Recorded, fitted: JointFit, rows: Array, folds: Sequence[int], work: Executor) -> Model:
     """The fit of all drivers together to some folds, from rows (N, WIDTH) near those of a fit."""
-    start = at_model(data, fitted, replace(fitted.model, rows=rows), work)
+    # of what happens once, the other folds say nothing
+    held = (*fitted.model.held, *(k for k in fitted.model.shared if k in _ONCE))
+    start = at_model(data, fitted, replace(fitted.model, rows=rows, held=held), work)
     return maximise(data, start, work, folds=folds, iterations=_STEPS_WITHOUT, renewals=0).model
 
 

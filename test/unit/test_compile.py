@@ -35,7 +35,7 @@ def test_after_compiling_nothing_is_left_to_compile(monkeypatch: pytest.MonkeyPa
 
     compiled_later: set[str] = set()
     monkeypatch.setattr(progress, "on_compiling", lambda what, done, total: compiled_later.add(what))
-    effects = {"sensor_eccentricity": {"cosine": 0.5, "sine": 0.3}, "drag": {"c0": 0.1}}
+    effects = {"outlier_noise": {"share": 0.02, "factor": 3.0}, "drag": {"c0": 0.1}}
     recording = sg.simulate(4, ring_m=0.0, duration_s=40.0, effects=effects, seed=2).measured
     sg.calibrate(recording, "paper", profile=True)
     sg.calibrate(recording)
