@@ -17,7 +17,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.files import Target
 from sugiyama_ros.fit.coordinates import has_both_ends
 from sugiyama_ros.fit.driver import SIGMAS, Fit, Formulation, is_determined
-from sugiyama_ros.fit.driver_types import Classes, DriverTypes, Population, Predictions
+from sugiyama_ros.fit.driver_types import OF_RECORDING, Classes, DriverTypes, Population, Predictions
 from sugiyama_ros.fit.goals import Goal, KnownGoals
 from sugiyama_ros.fit.smooth_positions import ESTIMATED
 from sugiyama_ros.laws.registry import PAPERS, law
@@ -105,6 +105,11 @@ class Settings:
         if (self.classes or self.goals) and (self.is_pooled(on_tracks=False) or self.profiled):
             shared = option("classes" if self.classes else "goal")
             raise InputError(f"{shared}: the drivers of a class share all parameters; leave out {others}, {profile}")
+        if (self.classes or self.goals) and self.estimated and {index(n) for n in self.estimated} <= set(OF_RECORDING):
+            raise InputError(
+                f"{option('parameters')}: {', '.join(self.estimated)}: noises belong to a recording, not to a class;"
+                " add a parameter of how drivers drive, such as v_star"
+            )
 
 
 def number_of_classes(given: object, option: Callable[[str], str] = str) -> int | str:

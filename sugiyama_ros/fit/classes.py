@@ -24,7 +24,6 @@ from scipy.cluster.vq import kmeans2
 from scipy.special import logsumexp, softmax
 
 from sugiyama_ros.arrays import Array, Ints, Mask
-from sugiyama_ros.driver.parameters import SIGMA_NU, SIGMA_V, SIGMA_X
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.coordinates import (
     ENOUGH_CAUSAL,
@@ -36,15 +35,13 @@ from sugiyama_ros.fit.coordinates import (
     with_open_ends,
 )
 from sugiyama_ros.fit.driver import SIGMAS, end_of_profile, untouched
-from sugiyama_ros.fit.driver_types import Classes
+from sugiyama_ros.fit.driver_types import OF_RECORDING, Classes
 from sugiyama_ros.fit.goals import Goals, goals_of
 from sugiyama_ros.fit.joint import LARGEST_STD, fit_base
 from sugiyama_ros.fit.model import Model, PointwiseDensity, evaluate_each
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.slopes import difference_steps, slopes_of
 
-# Noises of what measures, and of how it smooths: they belong to a recording, not to a driver.
-_OF_RECORDING = (SIGMA_NU, SIGMA_X, SIGMA_V)
 # Largest size of the logit of a share: a share is never 0 for good.
 _CERTAIN = 7.0
 # A driver who belongs to a class with less than this probability says nothing about it.
@@ -213,8 +210,8 @@ def _layout(data: Recorded, estimated: Sequence[int], may: Mask, goals: Goals | 
     names = [one.recording for one in data.vicinity.names]
     return _Layout(
         typical=ROW.with_effects(data.even.typical(data.speed)),
-        own=tuple(k for k in estimated if k not in _OF_RECORDING),
-        noise=tuple(k for k in estimated if k in _OF_RECORDING),
+        own=tuple(k for k in estimated if k not in OF_RECORDING),
+        noise=tuple(k for k in estimated if k in OF_RECORDING),
         recording=np.unique(names, return_inverse=True)[1],
         goals=goals,
         may=(may[:, :, None] & goals.may[:, None, :]).reshape(data.drivers, -1),

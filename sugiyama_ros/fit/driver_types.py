@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.driver.parameters import NAMES, index
+from sugiyama_ros.driver.parameters import NAMES, SIGMA_NU, SIGMA_V, SIGMA_X, index
 
 if TYPE_CHECKING:
     # The online filter is not needed to keep or write the classes, and takes long to load.
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 #: Smallest standard deviation of the logarithm of a parameter over a population.
 LEAST_STD = 0.05
+#: Noises of what measures, and of how it smooths: they belong to a recording, not to a driver.
+OF_RECORDING = (SIGMA_NU, SIGMA_X, SIGMA_V)
 
 
 @dataclass(frozen=True, eq=False)

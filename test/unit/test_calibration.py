@@ -10,11 +10,12 @@ from scipy.optimize import minimize
 
 import sugiyama_ros as sg
 from sugiyama_ros.calibration.calibrate import calibrate_drivers, each_driver
-from sugiyama_ros.calibration.result import Settings
+from sugiyama_ros.calibration.result import AUTO, Settings
 from sugiyama_ros.driver.parameters import KAPPA_V, NAMES, SIGMA_A, SIGMA_NU, V_STAR, defaults, index
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters import paper
 from sugiyama_ros.fit.driver import SearchOptions, calibrate, end_of_profile, regularised
+from sugiyama_ros.fit.goals import Goal
 from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.fit.smooth_positions import ESTIMATED
 from sugiyama_ros.road import Road
@@ -206,3 +207,12 @@ def test_drivers_of_two_kinds_are_divided_into_two_classes(tmp_path):
     assert off < 0.5 * off_alone
     with pytest.raises(InputError, match="22 drivers, 30 classes; give --classes 22 at most"):
         calibrate_drivers(tracks_of(short), Settings(classes=30))
+
+
+@pytest.mark.parametrize("shared", [{"classes": 2}, {"classes": AUTO}, {"goals": (Goal("exit", 60.0, 2.0),)}])
+def test_classes_need_a_parameter_of_how_drivers_drive(shared):
+    with pytest.raises(
+        InputError, match=r"--parameters: sigma_nu, sigma_x: noises belong to a recording.*add a parameter"
+    ):
+        Settings(estimated=("sigma_nu", "sigma_x"), **shared).check("--{}".format)
+    Settings(estimated=("sigma_nu", "kappa_v"), **shared).check("--{}".format)
