@@ -14,7 +14,7 @@ from sugiyama_ros.diagnosis.forecast import Forecasts, forecasts
 from sugiyama_ros.diagnosis.refine import with_named, without_folds
 from sugiyama_ros.diagnosis.table import Difference, gains
 from sugiyama_ros.filters.extract import motion_of
-from sugiyama_ros.fit.given import Given, fit_people, prepare_for
+from sugiyama_ros.fit.given import Given, check_given, fit_people, prepare_for
 from sugiyama_ros.fit.joint import JointFit, fit
 from sugiyama_ros.fit.law import by_gaps, in_filter
 from sugiyama_ros.fit.model import Model, filtered_states
@@ -179,8 +179,10 @@ def compare(
     Raises
     ------
     InputError
-        For an unknown effect or a recording that is too short.
+        For an unknown effect, a recording that is too short, or a model of drivers by several laws.
     """
+    if model is not None:
+        check_given(model)
     with here_or_there(workers) as (work, cluster):
         steps = 3 + len(RIVALS) + (model is not None) + bool(effects)
         on_progress("fitting the base model", 0, steps)

@@ -88,4 +88,5 @@ EFFECT = Effect(
     ),
     function=_push,
     ascending=(("first", "last"),),
+    fixed=("covariate", "first", "last"),
 )

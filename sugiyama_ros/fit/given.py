@@ -15,12 +15,13 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.effects.discovered_force import COVARIATES
 from sugiyama_ros.effects.discovered_force import EFFECT as FORCE_EFFECT
 from sugiyama_ros.effects.registry import EFFECTS, ROW
+from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.joint import LARGEST_STD, JointFit, fit_base
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.model_file import ModelFile, decisions_between
 from sugiyama_ros.fit.preparation import prepare
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.laws.registry import PAPERS, number_of
+from sugiyama_ros.laws.registry import PAPERS, name_of, number_of
 from sugiyama_ros.trajectories.tracks import Tracks
 
 
@@ -35,6 +36,13 @@ class Given(NamedTuple):
     fitted: tuple[str, ...]
     left_out: tuple[str, ...]
     decision_period_s: float | None
+
+
+def check_given(file: ModelFile) -> None:
+    """Raise InputError for a model file of drivers by several laws: other people are draws of one population."""
+    laws = [name_of(number) for number in np.unique(file.rows[:, ROW.law]).tolist()]
+    if len(laws) > 1:
+        raise InputError(f"model: its drivers drive by several laws, {', '.join(laws)}; give a file of one law")
 
 
 def prepare_for(recording: Tracks, file: ModelFile) -> Recorded:

@@ -99,8 +99,9 @@ class ModelFile:
 
     @property
     def typical(self) -> Array:
-        """The row (WIDTH,) of the median driver."""
-        typical: Array = np.median(self.rows, axis=0)
+        """The row (WIDTH,) of the median driver, of those who drive by the most frequent law."""
+        laws, drivers = np.unique(self.rows[:, ROW.law], return_counts=True)
+        typical: Array = np.median(self.rows[self.rows[:, ROW.law] == laws[drivers.argmax()]], axis=0)
         for name, (median, _) in (self.population.parameters if self.population is not None else {}).items():
             typical[index(name)] = median
         return typical
@@ -299,12 +300,14 @@ def _conditions(path: Path, document: Mapping[str, Any], length_m: tuple[float, 
     """Where and how the drivers of a model file drove. Raises InputError."""
     road, individual = document.get("road", {}), document.get("individual", [])
     try:
-        if not isinstance(road, dict) or not isinstance(individual, list):
-            raise InputError("road: give ring_m, or leave it out; individual: give a list of names, or leave it out")
+        if not isinstance(road, dict):
+            raise InputError("road: give ring_m, or leave it out")
+        if not isinstance(individual, list):
+            raise InputError("individual: give a list of names of parameters, or leave it out")
         ring_m, period_s = road.get("ring_m"), document.get("decision_period_s")
-        unknown = [str(name)[:80] for name in individual if name not in ROW.entries]
+        unknown = [str(name)[:80] for name in individual if not _is_fitted(str(name))]
         if unknown:
-            raise InputError(f"individual: {unknown[0]!r} is not the name of a parameter; leave it out")
+            raise InputError(f"individual: {unknown[0]!r} is not the name of a parameter that is fitted; leave it out")
         return Conditions(
             ring_m=None if ring_m is None else _within(ring_m, "ring_m", (0.0, RINGS_M[1])),
             decision_period_s=None if period_s is None else _within(period_s, "decision_period_s", PERIODS_S),
@@ -313,6 +316,13 @@ def _conditions(path: Path, document: Mapping[str, Any], length_m: tuple[float, 
         )
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+
+
+def _is_fitted(entry: str) -> bool:
+    """Whether a fit can find an entry of a row: the number of a law, and what a search leaves as it is, are none."""
+    owner, _, name = entry.rpartition(".")
+    is_fixed = owner in EFFECTS and name in EFFECTS[owner].fixed
+    return entry in NAMES or (entry in ROW.entries and bool(owner) and not is_fixed)
 
 
 def _within(given: Any, name: str, bounds: tuple[float, float]) -> float:

@@ -9,6 +9,7 @@ import pytest
 import yaml
 
 import sugiyama_ros as sg
+from sugiyama_ros.diagnosis.compare import compare
 from sugiyama_ros.diagnosis.refine import with_named
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW, index_of, switch_on
@@ -16,7 +17,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.given import fit_people, prepare_for
 from sugiyama_ros.fit.law import in_filter
 from sugiyama_ros.fit.model import evaluate
-from sugiyama_ros.fit.model_file import read_model, write_model
+from sugiyama_ros.fit.model_file import FittedDrivers, drive_by, read_model, write_drivers, write_model
 from sugiyama_ros.fit.preparation import prepare
 from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.road import Road
@@ -148,6 +149,9 @@ def test_simulated_drivers_of_a_file_drive_as_they_did(base, work, tmp_path):
         ("road", {"ring_m": -4}, "ring_m: -4 is not possible"),
         ("road", 7, "road: give ring_m"),
         ("individual", ["v_sta"], "individual: 'v_sta' is not the name of a parameter"),
+        ("individual", ["discovered_force.covariate"], "individual: 'discovered_force.covariate' is not the name"),
+        ("individual", ["kappa_v", "law"], "individual: 'law' is not the name of a parameter"),
+        ("individual", "v_star", "individual: give a list"),
     ],
 )
 def test_what_a_file_cannot_mean_is_refused(base, tmp_path, entry, value, why):
@@ -158,3 +162,15 @@ def test_what_a_file_cannot_mean_is_refused(base, tmp_path, entry, value, why):
     path.write_text(yaml.safe_dump({**document, entry: value}))
     with pytest.raises(InputError, match=why):
         read_model(path)
+
+
+def test_drivers_by_several_laws_are_no_population(base, tmp_path):
+    rows = np.array([drive_by(ROW.with_effects(defaults()), name) for name in ("idm", PAPERS, "idm")])
+    write_drivers(tmp_path / "laws.yaml", FittedDrivers([0, 1, 2], "", "", rows, [{}] * 3, {}, 0.0))
+    file = read_model(tmp_path / "laws.yaml")
+    assert np.array_equal(file.typical, rows[0])
+    assert sg.simulate(5, model=tmp_path / "laws.yaml", duration_s=5.0).dense.position_m.shape[1] == 5
+    with pytest.raises(
+        InputError, match=f"model: its drivers drive by several laws, {PAPERS}, idm; give a file of one"
+    ):
+        compare(recording(1, 1), model=file)
