@@ -375,7 +375,8 @@ def diagnose(
     law : str
         Name of the law by which the drivers of the base model drive, such as ``"idm"``; the paper's by default.
     simulations : int
-        Number of recordings that each model simulates, which say what the approximations of the filter do.
+        Number of recordings that each model simulates, at most 1000, which say what the approximations of the filter
+        do.
     seed : int
         Seed of all random numbers.
 
@@ -397,7 +398,7 @@ def diagnose(
     >>> print(found.summary().splitlines()[0])
     The model is adequate: no check fails.
     """
-    _check_within("simulations", simulations, 1, math.inf)
+    _check_within("simulations", simulations, 1, 1000)
     _check_within("seed", seed, 0, math.inf)
     names = () if add in (None, "auto") else (add,) if isinstance(add, str) else tuple(add or ())
     check_names(names)

@@ -59,7 +59,7 @@ class _DiagnoseOptions:
         typer.Option(help="Document (JSON) to write with all that was found, for `sugiyama report --diagnosis`."),
     ] = None
     simulations: Annotated[
-        int, typer.Option(min=1, help="Number of recordings that each model simulates, for the checks.")
+        int, typer.Option(min=1, max=1000, help="Number of recordings that each model simulates, for the checks.")
     ] = 2
     overwrite: Overwrite = False
     ring: Ring = None

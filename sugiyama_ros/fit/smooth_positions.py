@@ -88,7 +88,9 @@ class Evenness(NamedTuple):
         driver = population()
         driver[V_STAR] = desired_speed_above(speed, float(driver[V_STAR]))
         if not self.is_smooth:
-            return in_proportion(driver, self.roughness_m, self.period_s) if self.has_other_noises else driver
+            # vehicles that stand still show no noise to be in proportion to
+            is_other = self.has_other_noises and np.isfinite(self.roughness_m)
+            return in_proportion(driver, self.roughness_m, self.period_s) if is_other else driver
         third = max(self.roughness_m, LEAST) / float(np.sqrt(3.0))
         return with_smooth_noises(driver, third, third, self.period_s)
 

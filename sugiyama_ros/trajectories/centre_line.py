@@ -6,7 +6,7 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.road import Road
+from sugiyama_ros.road import RINGS_M, Road
 
 # Two ends of a line that are nearer than this [m] are the same point: the road is a ring.
 _CLOSED_M = 1e-3
@@ -25,10 +25,14 @@ class CentreLine:
     def __init__(self, x_m: Array, y_m: Array) -> None:
         if len(x_m) < 2 or not (np.isfinite(x_m).all() and np.isfinite(y_m).all()):
             raise InputError(f"centre line: {len(x_m)} points; give at least two, all of them numbers")
-        step_x, step_y = np.diff(x_m), np.diff(y_m)
-        step = np.hypot(step_x, step_y)
+        with np.errstate(over="ignore"):
+            step_x, step_y = np.diff(x_m), np.diff(y_m)
+            step = np.hypot(step_x, step_y)
+            length_m = float(step.sum())
         if not (step > 0.0).all():
             raise InputError(f"centre line: point {int(np.argmin(step)) + 2} is the one before it; remove one of them")
+        if not length_m <= RINGS_M[1]:
+            raise InputError(f"centre line: is {length_m:.3g} m long; give points in metres, {RINGS_M[1]:g} m at most")
         self._x, self._y = x_m.astype(np.float64), y_m.astype(np.float64)
         self._s = np.concatenate([[0.0], np.cumsum(step)])
         self.length_m = float(self._s[-1])

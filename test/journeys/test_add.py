@@ -157,6 +157,8 @@ def test_python_adds_writes_and_reports_as_the_command_line(run, folder, added):
         sg.diagnose(recording, add=["telepathy"])
     with pytest.raises(InputError, match="simulations: 0 is not possible"):
         sg.diagnose(recording, simulations=0)
+    with pytest.raises(InputError, match="simulations: 1001 is not possible; give 1 to 1000"):
+        sg.diagnose(recording, simulations=1001)
     found = sg.diagnose(recording, simulations=1, seed=4, add="clock_offset")
     first = json.loads((folder / "found.json").read_text())["verdict"]["effects"][0]
     assert found.steps[0].gain["all"].nats == pytest.approx(first["heldout_gain_nats"])

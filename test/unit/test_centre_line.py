@@ -110,3 +110,9 @@ def test_on_a_ring_the_first_leads_the_last() -> None:
         SeenVehicle(0, name, 50.0 * np.cos(a), 50.0 * np.sin(a)) for name, a in (("a", 0.1), ("b", 2.0), ("c", 6.2))
     ]
     assert [one.leader for one in placer.place(seen)] == ["b", "c", "a"]
+
+
+@pytest.mark.parametrize("far_m", [1e8, 1e200, 1.7e308])
+def test_a_line_longer_than_any_road_is_refused(far_m: float) -> None:
+    with pytest.raises(InputError, match=r"centre line: is .* m long; give points in metres, 1e\+07 m at most"):
+        CentreLine(np.array([0.0, 10.0, -far_m, far_m]), np.zeros(4))

@@ -1,5 +1,7 @@
 """Smooth positions: what is estimated then, and that the filter knows its own errors."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -49,6 +51,18 @@ def test_a_camera_is_not_smooth_and_positions_from_a_satellite_are():
     assert smooth.estimated("paper") == ESTIMATED
     assert (smooth.typical(12.0)[[SIGMA_NU, SIGMA_X, SIGMA_V]] < defaults()[[SIGMA_NU, SIGMA_X, SIGMA_V]]).all()
     assert (lower_bounds(smooth)[SIGMAS] < 1e-4).all()
+
+
+def standing() -> DenseTracks:
+    moving = recording(0.0)
+    return replace(moving, position_m=np.tile(moving.position_m[:1], (len(moving.position_m), 1)))
+
+
+def test_vehicles_that_stand_still_show_no_noise_but_drivers_have_some():
+    still = evenness(standing())
+    assert np.isnan(still.roughness_m)
+    assert np.array_equal(still._replace(has_other_noises=True).typical(0.0), still.typical(0.0))
+    assert np.isfinite(still.typical(0.0)).all()
 
 
 def test_the_desired_speed_starts_above_the_speeds_of_a_motorway():
