@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import sys
+from collections.abc import Iterable
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from sugiyama_ros.formats.choices import Choices
     from sugiyama_ros.formats.convert import Part
     from sugiyama_ros.formats.mcap_reader import BagInfo
+    from sugiyama_ros.trajectories.selection import Selection
 
 # Year in which stamps begin.
 _EPOCH = 1970
@@ -85,6 +87,7 @@ def convert(options: _ConvertOptions) -> None:
         return
     from sugiyama_ros.formats.convert import convert as convert_file
 
+    _refuse(options, ("bridge", "frame"), "needs a bag of sightings; add --odometry and --centerline, or leave it out")
     output = to_write(options.output, options.overwrite)
     _tell_tracks(convert_file(options.source, output, _part(options)), options)
 
@@ -96,9 +99,12 @@ def _convert_seen(options: _ConvertOptions) -> None:
     from sugiyama_ros.bridges.perception import PerceptionSettings
     from sugiyama_ros.formats.centre_line import read_lanes
     from sugiyama_ros.formats.tracks_parquet import write_tracks
+    from sugiyama_ros.trajectories.selection import select
 
     if not options.odometry or options.centre_line is None:
         raise InputError("convert: --odometry and --centerline go together; give both")
+    of_files = ("ring", "format", "columns", "reference", "road_file")
+    _refuse(options, of_files, "does nothing with --odometry, where the centre line is the road; leave it out")
     if options.output.suffix.lower() not in (".parquet", ".csv"):
         raise InputError(f"{options.output}: tracks are written as .parquet or .csv; give such a name")
     output = to_write(options.output, options.overwrite)
@@ -107,8 +113,16 @@ def _convert_seen(options: _ConvertOptions) -> None:
         settings = dataclasses.replace(settings, period_s=options.period)
     bridge = read_bridge(options.bridge) if options.bridge is not None else None
     tracks = tracks_of_bag(options.source, options.odometry, read_lanes(options.centre_line), settings, bridge)
+    tracks = select(tracks, _selection(options))
     write_tracks(tracks, output)
     _tell_tracks(tracks, options)
+
+
+def _refuse(options: _ConvertOptions, fields: Iterable[str], why: str) -> None:
+    """Raise InputError for the first of some options that is given; ``why``: why it cannot be, and the cure."""
+    for name in fields:
+        if getattr(options, name) != getattr(_ConvertOptions, name):
+            raise InputError(f"--{name.replace('_', '-')}: {why}")
 
 
 def _tell_tracks(tracks: "Tracks", options: _ConvertOptions) -> None:
@@ -126,7 +140,6 @@ def _part(options: _ConvertOptions) -> "Part":
     from sugiyama_ros.formats.choices import Choices, read_choices, reference_of
     from sugiyama_ros.formats.convert import Part
     from sugiyama_ros.formats.roads import read_road
-    from sugiyama_ros.trajectories.selection import Selection
 
     choices = Choices() if options.columns is None else read_choices(options.columns)
     if (reference := reference_of(options.reference)) is not None:
@@ -135,7 +148,14 @@ def _part(options: _ConvertOptions) -> "Part":
         choices = dataclasses.replace(choices, ring_m=options.ring)
     if options.road_file is not None:
         choices = dataclasses.replace(choices, network=read_road(options.road_file))
-    selection = Selection(
+    return Part(options.format, choices, _selection(options), options.period)
+
+
+def _selection(options: _ConvertOptions) -> "Selection":
+    """Which rows the options keep."""
+    from sugiyama_ros.trajectories.selection import Selection
+
+    return Selection(
         recording=names(options.recording),
         road=names(options.road),
         lane=names(options.lane),
@@ -144,7 +164,6 @@ def _part(options: _ConvertOptions) -> "Part":
         from_s=options.from_s,
         to_s=options.to_s,
     )
-    return Part(options.format, choices, selection, options.period)
 
 
 def _print_tracks(document: dict[str, Any]) -> None:

@@ -28,6 +28,8 @@ class Format:
         Gets the path and the user's `Choices`. Returns `Tracks`. Raises InputError for a file that cannot be read.
     summary : str
         One line that explains the format.
+    takes_reference : bool
+        Whether the user may say what positions are of; not where a file has the centres of vehicles.
     takes_road : bool
         Whether the format has vehicles in the plane, which a road of `Choices` puts on lanes.
     """
@@ -37,6 +39,7 @@ class Format:
     recognise: Callable[[bytes, Path], bool]
     read: Callable[[Path, Choices], Tracks]
     summary: str
+    takes_reference: bool = True
     takes_road: bool = False
 
 

@@ -282,4 +282,5 @@ FORMAT = Format(
     recognise=_is_bag,
     read=_read_measured,
     summary="a bag with the topics road and measured",
+    takes_reference=False,
 )

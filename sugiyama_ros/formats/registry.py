@@ -71,6 +71,11 @@ def read_tracks(source: Path | Sequence[Path], choices: Choices | None = None, n
     if choices.network is not None and not chosen.takes_road:
         able = ", ".join(one.name for one in formats() if one.takes_road)
         raise InputError(f"{paths[0]}: a file of the format {chosen.name}, which takes no road; those do: {able}")
+    if choices.reference is not None and not chosen.takes_reference:
+        raise InputError(
+            f"{paths[0]}: a file of the format {chosen.name}, whose positions are of centres; leave out the reference"
+            f" ({choices.reference})"
+        )
     return chosen.read(paths[0], choices)
 
 

@@ -66,4 +66,5 @@ FORMAT = Format(
     recognise=lambda head, path: _about(head, path) is not None,
     read=_read_tracks_parquet,
     summary="tracks in Parquet, as sugiyama convert writes them",
+    takes_reference=False,
 )

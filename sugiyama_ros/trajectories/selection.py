@@ -45,8 +45,8 @@ def select(tracks: Tracks, selection: Selection) -> Tracks:
         return tracks
     if not keep.any():
         raise InputError(
-            f"{tracks.about.source or 'tracks'}: no row is left; the times go from {tracks.time_s.min():g} to"
-            f" {tracks.time_s.max():g} s"
+            f"{tracks.about.source or 'tracks'}: no row is left; the times go from {tracks.time_s.min():.12g} to"
+            f" {tracks.time_s.max():.12g} s"
         )
     kept = tracks.select(keep)
     return replace(kept, about=kept.about.without("not selected", int(np.sum(~keep))))

@@ -136,6 +136,11 @@ def test_a_folder_of_rosbag2_to_parameters(here: Here, storage: str) -> None:
     np.testing.assert_allclose(np.sort(seen), np.sort(true.position_m[-1] - true.position_m[0]), atol=1.5)
     drivers = here.tells("calibrate tracks.parquet")["drivers"]
     assert len(drivers) >= 2
+    # what is kept is chosen as of every other file
+    fewer = here.tells(
+        "convert drive fewer.parquet --odometry /car*/odom --centerline line.csv --without 1 --to 1700000010"
+    )
+    assert (fewer["vehicles"], fewer["rows"]) == (2, 202)
 
 
 def test_a_perception_of_ones_own_type_to_tracks(here: Here) -> None:

@@ -205,6 +205,11 @@ CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
         *((source, "--format tracks") for source in VALUES["convert SOURCE"] if source != "bag"),
         *((s, "no --odometry", name) for s in ("ring.csv", "ring.mcap", "own.csv") for name in ("--road", "--class")),
         *((source, "no --odometry", "--lane") for source in ("ring.csv", "ring.mcap")),
+        *(("no --odometry", name) for name in ("--bridge", "--frame")),
+        *(("--odometry", name) for name in ("--ring", "--format tracks", "--columns", "--reference", "--road-file")),
+        # the bag has neither classes nor roads, its lane is 0, and its times are of the day
+        *(("--odometry", name) for name in ("--class", "--road", "--lane", "--from", "--to")),
+        ("ring.mcap", "--reference"),
     ],
 }
 

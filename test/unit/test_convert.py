@@ -110,3 +110,27 @@ def test_refusals_are_one_line(sugiyama: Run, two_lanes: Path, arguments: tuple[
     assert err.count("\n") == 1
     assert said in err
     assert [file.name for file in sorted(two_lanes.parent.iterdir())] == ["two.csv"]
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["--bridge", "none.yaml"], "--bridge: needs a bag of sightings"),
+        (["--frame", "none"], "--frame: needs a bag of sightings"),
+        (["--odometry", "/o", "--centerline", "line.csv", "--road-file", "m.osm"], "--road-file: does nothing with"),
+        (["--odometry", "/o", "--centerline", "line.csv", "--ring", "40"], "--ring: does nothing with --odometry"),
+    ],
+)
+def test_what_another_source_takes_is_refused(sugiyama: Run, two_lanes: Path, words: list[str], why: str) -> None:
+    code, out, err = sugiyama("convert", two_lanes, "new.parquet", *words)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert err.startswith(f"error: {why}")
+    assert not Path("new.parquet").exists()
+
+
+def test_files_of_centres_take_no_reference(sugiyama: Run, two_lanes: Path) -> None:
+    sugiyama("convert", two_lanes, "two.parquet")
+    code, _, err = sugiyama("convert", "two.parquet", "new.parquet", "--reference", "front")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "leave out the reference" in err
+    assert sugiyama("convert", two_lanes, "new.parquet", "--reference", "front")[0] == 0
