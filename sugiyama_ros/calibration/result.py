@@ -99,6 +99,12 @@ class Settings:
             raise InputError(
                 f"{option('parameters')}: with a law, its parameters, sigma_nu and sigma_a are estimated; leave it out"
             )
+        for name, is_given in (("law", self.law != PAPERS), ("effects", bool(self.effects))):
+            if is_given and self.is_regularised is False:
+                raise InputError(
+                    f"{regularise}: cannot be off with {option(name)}, which calibrates all drivers together; leave"
+                    " out one of the two"
+                )
         others = f"{effects}, {option('law')}, {regularise}"
         if self.is_pooled(on_tracks=False) and self.profiled:
             raise InputError(f"{profile}: is for drivers calibrated one by one; leave out {others}")

@@ -72,8 +72,11 @@ def demo(options: _DemoOptions) -> None:
     from sugiyama_ros.page.recording import read_recording
     from sugiyama_ros.page.report import write_report
 
-    if options.data is not None and options.scene is not None:
-        raise InputError("--scene: is for simulated drivers; leave out --scene or --data")
+    for name, given in (("scene", options.scene), ("hidden", options.hidden)):
+        if options.data is not None and given is not None:
+            raise InputError(f"--{name}: is for simulated drivers; leave out --{name} or --data")
+    if options.data is None and options.ring is not None:
+        raise InputError("--ring: is for measured drivers; leave out --ring, or add --data")
     truth: dict[str, Any] = {}
     above = None
     if options.data is not None:

@@ -10,6 +10,7 @@ import typer
 
 from sugiyama_ros.cli.options import Json, Overwrite, Ring, Seed, takes, to_write
 from sugiyama_ros.cli.output import print_json, print_line, print_table
+from sugiyama_ros.errors import InputError
 from sugiyama_ros.files import Output, writing
 from sugiyama_ros.progress import stage
 from sugiyama_ros.results import TextTable, needs
@@ -48,6 +49,11 @@ def study(options: _StudyOptions) -> None:
     from sugiyama_ros.trajectories.dense import one_road
     from sugiyama_ros.workers import workers
 
+    given = [name for name in ("source", "runs", "seed", "ring", "output") if _is_given(options, name)]
+    if not options.name and given:
+        raise InputError(f"study: --{given[0]}, and no name of a study; give a name (sugiyama study lists them)")
+    if "ring" in given and "source" not in given:
+        raise InputError("--ring: is for measured drivers; leave it out, or give a FILE")
     if not options.name and options.as_json:
         print_json([{"study": one.name, "question": one.question, "paper": one.paper} for one in STUDIES.values()])
         return
@@ -55,10 +61,11 @@ def study(options: _StudyOptions) -> None:
         for one in STUDIES.values():
             print_line(f"{one.name:12} {one.question}")
         return
+    asked = study_of(options.name)
+    asked.check(given)
     picture = None if options.output is None else to_write(options.output, options.overwrite, ".png", ".pdf")
     if picture is not None:
         needs("matplotlib", "--output")
-    asked = study_of(options.name)
     trajectories = None
     if options.source is not None:
         tracks = read_tracks(options.source, Choices(ring_m=options.ring))
@@ -72,6 +79,11 @@ def study(options: _StudyOptions) -> None:
         return
     print_table(_table(asked.question, answer.rows))
     print_line(f"The paper: {asked.paper}")
+
+
+def _is_given(options: _StudyOptions, name: str) -> bool:
+    """Whether an option has another value than by default."""
+    return getattr(options, name) != getattr(_StudyOptions, name)
 
 
 def _table(title: str, answers: Sequence[Mapping[str, Any]]) -> TextTable:

@@ -138,4 +138,5 @@ STUDY = Study(
         " (section 3.1)."
     ),
     answer=_answer,
+    takes=("runs", "seed"),
 )

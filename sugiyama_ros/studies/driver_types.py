@@ -128,4 +128,5 @@ STUDY = Study(
     question="Are there types of drivers?",
     paper="Four broadly meaningful clusters (section 5.3).",
     answer=_answer,
+    takes=("source", "seed"),
 )

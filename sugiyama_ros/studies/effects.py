@@ -154,4 +154,5 @@ STUDY = Study(
     question="Are the parameters of hidden effects found again, and do their intervals hold?",
     paper="The paper has no effects besides its model; further effects are left to later work (outlook).",
     answer=_answer,
+    takes=("runs", "seed"),
 )

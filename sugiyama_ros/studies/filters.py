@@ -282,4 +282,5 @@ STUDY = Study(
     question="Which filter learns a driver's preferences best while they drive?",
     paper="Inference while people drive is left to later work (outlook).",
     answer=_answer,
+    takes=("runs", "seed"),
 )

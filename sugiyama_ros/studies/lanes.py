@@ -94,4 +94,5 @@ STUDY = Study(
     question="Are the drivers of cars and trucks on two lanes found again?",
     paper="The paper has a single lane; other roads are left to later work (outlook).",
     answer=_answer,
+    takes=("runs", "seed"),
 )

@@ -69,4 +69,5 @@ STUDY = Study(
         " (sections 5.1 and 5.2)."
     ),
     answer=_answer,
+    takes=("source",),
 )

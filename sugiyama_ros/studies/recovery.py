@@ -96,4 +96,5 @@ STUDY = Study(
     question="Are simulated drivers found again?",
     paper="No systematic bias; statistical errors 0.01 m, 0.02 m/s², 0.05 m/s, 0.01 s (section 4.3).",
     answer=_answer,
+    takes=("runs", "seed"),
 )

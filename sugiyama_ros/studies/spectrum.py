@@ -72,4 +72,5 @@ STUDY = Study(
     question="How many directions of the parameter space does the likelihood determine?",
     paper="Only four largest eigenvalues are consistently negative definite (section 4.1).",
     answer=_answer,
+    takes=("source", "seed"),
 )

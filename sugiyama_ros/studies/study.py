@@ -1,6 +1,6 @@
 """What a study is: a question, and a way to answer it with a table and a figure."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Any
@@ -73,9 +73,18 @@ class Study:
         What the paper says about the question.
     answer : callable
         ``Asked`` -> ``Answer``.
+    takes : tuple of str
+        What it uses of what is asked: ``source`` (the trajectories), ``runs`` and ``seed``.
     """
 
     name: str
     question: str
     paper: str
     answer: Callable[[Asked], Answer]
+    takes: tuple[str, ...] = ("source", "runs", "seed")
+
+    def check(self, given: Collection[str]) -> None:
+        """Raise InputError for something that is given, of ``source``, ``runs`` and ``seed``, and not used."""
+        for name, option in (("source", "FILE"), ("runs", "--runs"), ("seed", "--seed")):
+            if name in given and name not in self.takes:
+                raise InputError(f"study {self.name}: does not use {option}; leave it out")

@@ -107,4 +107,5 @@ STUDY = Study(
     question="Does an estimator notice that a driver wants to drive slower?",
     paper="Learning a driver's style in real time is left to later work (outlook).",
     answer=_answer,
+    takes=("runs", "seed"),
 )

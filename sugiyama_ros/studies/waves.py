@@ -202,6 +202,7 @@ TADAKI = Study(
     question="At which density does free flow end?",
     paper="The fundamental diagram and the critical region of density are reproduced (section 6.3).",
     answer=_tadaki,
+    takes=("runs", "seed"),
 )
 
 HIGHWAY = Study(

@@ -130,6 +130,7 @@ CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
         ("--output old.mcap", "no --overwrite"),
         ("--data ring.csv", "no --ring"),
         ("--data", "--scene"),
+        ("--data", "--hidden"),
         ("--hidden drag", "--scene"),
     ],
     "run": [
@@ -181,6 +182,10 @@ CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
         ("--output old.pdf", "no --overwrite"),
         ("ring.csv", "no --ring"),
         *(("no NAME", source) for source in VALUES["study SOURCE"]),
+        *(("no NAME", name) for name in ("--runs", "--seed", "--ring", "--output")),
+        *((name, "--runs") for name in ("spectrum", "measured")),
+        ("measured", "--seed"),
+        ("no SOURCE", "--ring"),
         *((name, "no SOURCE") for name in ("measured", "simulated", "order")),
     ],
     "compare": [("ring.csv", "no --ring")],

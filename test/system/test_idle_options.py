@@ -19,6 +19,7 @@ from sugiyama_ros.fit.model_file import drive_by
 from sugiyama_ros.simulation.experiment import Experiment, carry_out, changed
 from sugiyama_ros.simulation.lanes import alike_lanes
 from sugiyama_ros.simulation.scenes import SCENES, road_of, simulate_scene
+from sugiyama_ros.studies.registry import STUDIES
 
 pytestmark = pytest.mark.system
 ROADS = {"ring": (RING,), "open": (), "lanes": ()}
@@ -172,3 +173,44 @@ def test_calibrate_refuses_what_a_law_does_not_have():
         asked.check("--{}".format)
     replace(asked, effects=("drag",)).check("--{}".format)
     replace(asked, law="adaptive_seek").check("--{}".format)
+
+
+def test_drivers_who_are_pooled_cannot_be_calibrated_alone():
+    """With a law or effects, drivers are draws from one population, whatever else is asked."""
+    alone = Settings(is_regularised=False)
+    alone.check("--{}".format)
+    for other in (replace(alone, estimated=(), law="idm"), replace(alone, effects=("drag",))):
+        with pytest.raises(InputError, match=r"^--regularise: cannot be off with --(law|effects), .*leave out one of"):
+            other.check("--{}".format)
+        replace(other, is_regularised=None).check("--{}".format)
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["study", "spectrum", "--runs", "2"], "study spectrum: does not use --runs"),
+        (["study", "spectrum", "--ring", "-5"], "--ring: is for measured drivers"),
+        (["study", "recovery", "ring.mcap"], "study recovery: does not use FILE"),
+        (["study", "measured", "ring.mcap", "--seed", "3"], "study measured: does not use --seed"),
+        (["study", "--seed", "3"], "study: --seed, and no name"),
+        (["study", "--output", "x.png"], "study: --output, and no name"),
+        (["demo", "--data", "ring.mcap", "--hidden", "drag"], "--hidden: is for simulated drivers"),
+        (["demo", "--ring", "40"], "--ring: is for measured drivers"),
+    ],
+)
+def test_commands_refuse_what_they_do_not_use(words, why, monkeypatch, capfd, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["sugiyama", *words])
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    out, err = capfd.readouterr()
+    assert (end.value.code, out, len(err.splitlines())) == (2, "", 1)
+    assert err.startswith(f"error: {why}")
+    assert "leave" in err or "give" in err
+    assert not list(tmp_path.iterdir())
+
+
+def test_studies_use_what_they_say():
+    for one in STUDIES.values():
+        one.check(one.takes)
+        assert set(one.takes) <= {"source", "runs", "seed"}
