@@ -83,7 +83,7 @@ def study(options: _StudyOptions) -> None:
 
 def _is_given(options: _StudyOptions, name: str) -> bool:
     """Whether an option has another value than by default."""
-    return getattr(options, name) != getattr(_StudyOptions, name)
+    return bool(getattr(options, name) != getattr(_StudyOptions, name))
 
 
 def _table(title: str, answers: Sequence[Mapping[str, Any]]) -> TextTable:
