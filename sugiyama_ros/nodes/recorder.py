@@ -318,4 +318,6 @@ def _writer(path: Path, overwrite: bool, split_mb: float, about: dict[str, str])
         if split_mb > 0.0:
             raise InputError(f"{path}: is one file; give a directory, or leave out split_mb")
         return BagWriter(Output(path, overwrite), about)
+    if path.suffix:
+        raise InputError(f"{path}: cannot be written as {path.suffix}; give a name that ends in .mcap, or a directory")
     return FolderWriter(path, math.ceil(split_mb * _MB), about)
