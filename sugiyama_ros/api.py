@@ -133,7 +133,7 @@ def read(
     if ring_m is not None:
         choices = replace(choices, ring_m=ring_m)
     if isinstance(source, str | Path | list | tuple):
-        return read_tracks(source, choices, name)  # type: ignore[arg-type]
+        return read_tracks(source, choices, name)
     if road is not None:
         raise InputError("road: a data frame has positions along a road of its own; leave it out")
     return tracks_of_frame(source, choices)

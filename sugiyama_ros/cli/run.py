@@ -267,6 +267,7 @@ def live(options: _LiveOptions) -> None:
         from sugiyama_ros.nodes.base import environment
         from sugiyama_ros.nodes.live import serve
         from sugiyama_ros.nodes.plan import RunSettings
+    from sugiyama_ros.laws.registry import law
 
     def ready(url: str) -> None:
         print_note(f"live page: {url} (Ctrl-C ends it)")
@@ -275,6 +276,7 @@ def live(options: _LiveOptions) -> None:
 
     if not options.host.strip():
         raise InputError("--host: is empty; leave it out for this machine alone, or give an address such as 0.0.0.0")
+    law(options.law)
     print_cautions(options.model)
     output = own_output(options.output, _LIVE, options.overwrite)
     settings = RunSettings(

@@ -35,6 +35,8 @@ class Parameter:
         Meaning, and source where the source is not obvious.
     axis : {"", "time", "place"}
         ``"time"`` if the value is a time of the recording, ``"place"`` if it is a position on the road.
+    is_whole : bool
+        Whether only whole numbers make sense.
     """
 
     name: str
@@ -45,6 +47,7 @@ class Parameter:
     upper: float
     description: str
     axis: Literal["", "time", "place"] = ""
+    is_whole: bool = False
 
 
 def check_declared(owner: str, parameters: Sequence[Parameter]) -> None:

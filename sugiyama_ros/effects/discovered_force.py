@@ -81,7 +81,16 @@ EFFECT = Effect(
     term="+ force(covariate)",
     source="Kristensen, Madsen and Jørgensen, Automatica 40 (2004) 225",
     parameters=(
-        Parameter("covariate", "", "1", 0.0, 1.0, float(len(COVARIATES)), "number of one of " + ", ".join(COVARIATES)),
+        Parameter(
+            "covariate",
+            "",
+            "1",
+            0.0,
+            1.0,
+            float(len(COVARIATES)),
+            "number of one of " + ", ".join(COVARIATES),
+            is_whole=True,
+        ),
         Parameter("first", "", "1", 0.0, -1e12, 1e12, "covariate at the first knot"),
         Parameter("last", "", "1", 0.0, -1e12, 1e12, "covariate at the last knot"),
         *(Parameter(f"force_{k}", f"f_{k}", "m/s^2", 0.0, -10.0, 10.0, f"force at knot {k}") for k in range(KNOTS)),

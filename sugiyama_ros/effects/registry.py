@@ -178,6 +178,8 @@ def switch_on(rows: Array, name: str, values: Values) -> Array:
                 f"effect {name}: {parameter} = {value:g} {declared.unit} is out of bounds; give {declared.lower:g} to"
                 f" {declared.upper:g}"
             )
+        if declared.is_whole and value != round(value):
+            raise InputError(f"effect {name}: {parameter} = {value:g} is no whole number; give {round(value)}")
         changed[..., k] = value
     _check_companions(changed, name)
     return changed

@@ -52,10 +52,15 @@ def known_suffixes() -> str:
     return ", ".join(dict.fromkeys(suffix for known in formats() for suffix in known.suffixes))
 
 
-def read_tracks(source: Path | Sequence[Path], choices: Choices | None = None, name: str = "auto") -> Tracks:
+def read_tracks(
+    source: str | Path | Sequence[str | Path], choices: Choices | None = None, name: str = "auto"
+) -> Tracks:
     """Read a file or a folder of any known format, or several files as recordings. Raises InputError."""
     choices = choices or Choices()
-    paths = [Path(source)] if isinstance(source, str | Path) else [Path(one) for one in source]
+    given: list[str | Path] = [source] if isinstance(source, str | Path) else list(source)
+    if "" in given:
+        raise InputError("source: is empty; give the name of a file or a folder")
+    paths = [Path(one) for one in given]
     if not paths:
         raise InputError("source: no file is given; give one or more")
     if len(paths) > 1:

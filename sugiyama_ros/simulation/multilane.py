@@ -238,6 +238,11 @@ def _check(start: OnRoad, spans: Mapping[int, LaneSpan]) -> None:
             raise InputError(f"parameter {p.name}: out of bounds; give {p.lower:g} to {p.upper:g}")
     if missing := sorted(set(start.lane.tolist()) - set(spans)):
         raise InputError(f"lanes: a vehicle is on lane {missing[0]}; give one of {', '.join(map(str, sorted(spans)))}")
+    for lane, (opens_m, end_m) in spans.items():
+        if not opens_m < end_m:
+            raise InputError(
+                f"spans: lane {lane} opens at {opens_m:g} m and ends at {end_m:g} m; give the end last, and beyond"
+            )
     on = OnLanes(np.zeros(len(start.s_m), dtype=np.int64), start.lane, start.s_m, start.speed, start.length_m)
     view = see_lanes(on, spans)
     inside = np.flatnonzero(np.minimum(view.gap_m, view.end_m)[:, KEEP] <= 0.0)

@@ -49,6 +49,12 @@ def test_a_model_file_says_the_law_itself(run):
     refused = ask("sugiyama run ring.csv --ring 135 --law idm --model model.yaml -o no.mcap")
     assert refused.code == 2
     assert "leave out --law or --model" in refused.err
+    refused = ask("sugiyama live --law nosuch")
+    assert refused.code == 2
+    assert "law 'nosuch': not known" in refused.err
+    refused = ask("sugiyama run ring.csv --ring 135 -o new.csv")
+    assert refused.code == 2
+    assert "new.csv: cannot be written as .csv; give a name that ends in .mcap" in refused.err
     said = ask("sugiyama run ring.csv --ring 135 --model model.yaml -o again.mcap")
     assert said.code == 0, said.err
     assert "idm.T [s]" in said.out

@@ -151,6 +151,12 @@ def test_an_unknown_or_missing_keyword_is_an_error_of_type() -> None:
         sg.filter_plane([0.0], [0.0])  # type: ignore[call-arg]
 
 
+@pytest.mark.parametrize("given", ["", ["", "a.csv"]])
+def test_an_empty_name_is_not_the_folder_of_the_process(given: Any) -> None:
+    with pytest.raises(InputError, match="source: is empty; give the name of a file or a folder"):
+        sg.read(given)
+
+
 def test_numbers_of_any_kind_are_the_same_number() -> None:
     expected = sg.simulate(vehicles=3, ring_m=50.0, duration_s=10.0, seed=4).position_m
     for number, whole in ((int, np.int64), (np.float32, np.uint8), (np.float64, np.int32), (np.array, np.array)):

@@ -339,6 +339,8 @@ def test_bad_values_are_refused_in_one_line():
         effect("drug")
     with pytest.raises(InputError, match="effect drag: has no parameter 'c3'; it has c0, c2"):
         switch_on(row, "drag", {"c3": 1.0})
+    with pytest.raises(InputError, match=r"effect discovered_force: covariate = 1\.5 is no whole number; give 2"):
+        switch_on(ROW.with_effects(defaults()), "discovered_force", {"covariate": 1.5})
     with pytest.raises(InputError, match="effect reaction_delay: delay = 9 s is out of bounds; give 0 to 2"):
         switch_on(row, "reaction_delay", {"delay": 9.0})
     assert row[ROW.law] == 0.0

@@ -241,6 +241,9 @@ def test_what_cannot_be_fitted_is_refused_in_one_line():
         sg.lane_changes(sg.simulate(vehicles=3, ring_m=40.0, duration_s=10.0).measured)
     with pytest.raises(InputError, match="there is no lane 2; lanes have the numbers 0 to 1"):
         sg.simulate_lane_changes(4, 2, 5.0, spans={2: (0.0, 100.0)})
+    for span in ((100.0, 0.0), (float("nan"), 5.0), (0.0, float("nan")), (5.0, 5.0)):
+        with pytest.raises(InputError, match=r"spans: lane 0 opens at .* m and ends at .* m; give the end last"):
+            sg.simulate_lane_changes(4, 2, 5.0, spans={0: span})
     with pytest.raises(InputError, match="vehicles: 0 is not possible; give 1 to 100000"):
         sg.simulate_lane_changes(0)
     with pytest.raises(InputError, match="parameter 'polite': not known"):
