@@ -401,8 +401,7 @@ def diagnose(
     _check_within("simulations", simulations, 1, 1000)
     _check_within("seed", seed, 0, math.inf)
     names = () if add in (None, "auto") else (add,) if isinstance(add, str) else tuple(add or ())
-    check_names(names)
-    law_of(law)
+    check_names(names, law)
     with stages() as advance:
         return diagnosis.diagnose(
             _tracks(tracks),

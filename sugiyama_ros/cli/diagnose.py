@@ -75,7 +75,7 @@ def diagnose(options: _DiagnoseOptions) -> None:
 
     The diagnosis says where the model fails, which effect explains the failure, and how certain that is.
     """
-    add = _names(options.add)
+    add = _names(options.add, options.law)
     model = model_to_write(options.output, options.overwrite)
     saved = None if options.save is None else to_write(options.save, options.overwrite, ".json")
     from sugiyama_ros.api import FEW_STEPS
@@ -124,7 +124,7 @@ def _found(recording: "Tracks", **settings: Any) -> "Diagnosis":
     return find(recording, **{"workers": os.cpu_count() or 1, **settings})
 
 
-def _names(add: str | None) -> tuple[str, ...]:
+def _names(add: str | None, law: str) -> tuple[str, ...]:
     """The names to add; none for a search. Raises InputError for an empty list or an unknown name."""
     if add is None or add == "auto":
         return ()
@@ -134,7 +134,7 @@ def _names(add: str | None) -> tuple[str, ...]:
         raise InputError(f"--add {add}: give auto alone, or names without it")
     from sugiyama_ros.diagnosis.candidates import check_names
 
-    check_names(names(add))
+    check_names(names(add), law)
     return names(add)
 
 

@@ -14,11 +14,13 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import CONSTANTS, index
 from sugiyama_ros.effects.discovered_force import COVARIATES, KNOTS
 from sugiyama_ros.effects.effect import ATTENTION, MEASUREMENT, Effect, Extent
+from sugiyama_ros.effects.needs import check_law
 from sugiyama_ros.effects.registry import EFFECTS, MECHANISM, ROW, index_of
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.first_look import SIGMAS
 from sugiyama_ros.fit.joint import LARGEST_STD
 from sugiyama_ros.fit.model import Model, PointwiseDensity
+from sugiyama_ros.fit.model_file import drivers_of
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.statistics import Tail
 
@@ -156,12 +158,12 @@ def force_along(covariate: str, first: float, last: float) -> Candidate:
     return Candidate(FORCE_ALONG + covariate, FORCE, "force", knots, (dict(zip(places, values, strict=True)),))
 
 
-def check_names(names: Sequence[str]) -> None:
+def check_names(names: Sequence[str], law: str) -> None:
     """Check that names are those of effects, of their forms, of groups of constants, or of forces without a name.
 
-    Raises InputError.
+    law: name of the law by which the drivers drive. Raises InputError, also for what acts on nothing of this law.
     """
-    constants = [one.name for one in CONSTANTS]
+    constants, rows = [one.name for one in CONSTANTS], drivers_of(None, law).rows
     for name in names:
         effect, _, covariate = name.partition(":")
         if effect == FORCE:
@@ -175,6 +177,8 @@ def check_names(names: Sequence[str]) -> None:
                 f"effect {name!r}: is not known; give names that `sugiyama effects` lists, {', '.join(constants)}, or"
                 f" {FORCE}:COVARIATE"
             )
+        elif name in EFFECTS:
+            check_law(EFFECTS[name], rows)
 
 
 def chosen(data: Recorded, possible: Sequence[Candidate], name: str) -> Candidate:

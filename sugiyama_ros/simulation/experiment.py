@@ -10,7 +10,7 @@ from sugiyama_ros.controllers.controller import Controlled
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, index
 from sugiyama_ros.effects.effect import NEEDS, RING
 from sugiyama_ros.effects.needs import check_effect, check_parameter
-from sugiyama_ros.effects.registry import ROW, switch_on
+from sugiyama_ros.effects.registry import ROW, active, switch_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.result import Simulation
@@ -145,7 +145,7 @@ def changed(
     """Return rows (N, width) with other parameters, and with effects switched on.
 
     road: what the road has that effects may need; everything if left out. Raises InputError, also for what would do
-    nothing.
+    nothing, such as an effect of a model file on another road.
     """
     rows = rows.copy()
     for name, value in parameters.items():
@@ -154,4 +154,6 @@ def changed(
     for name, values in effects.items():
         check_effect(name, rows, road)
         rows = switch_on(rows, name, values)
+    for name in active(rows):
+        check_effect(name, rows, road)
     return rows

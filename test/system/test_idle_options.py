@@ -10,6 +10,7 @@ import pytest
 from sugiyama_ros import cli
 from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.cli.simulate import _SimulateOptions
+from sugiyama_ros.diagnosis.candidates import check_names
 from sugiyama_ros.driver.parameters import NAMES, defaults
 from sugiyama_ros.effects.effect import CURVES, RING, SIGNALS, YIELDS, Extent
 from sugiyama_ros.effects.needs import check_effect
@@ -154,6 +155,22 @@ def test_every_option_acts_or_is_refused(setting, law, monkeypatch, capfd, tmp_p
         if written(*options) == without:
             idle.append(" ".join(options))
     assert not idle
+
+
+def test_effects_that_drivers_have_already_are_checked_too():
+    """Drivers of a model file are those of --effect: what they have may need another road."""
+    rows = switch_on(drivers("adaptive_seek"), "curve_speed", STRONG["curve_speed"])
+    with pytest.raises(InputError, match=r"^effect curve_speed: does nothing on a road without a curve; leave it out"):
+        changed(rows, {}, {}, ROADS["ring"])
+    assert np.array_equal(changed(rows, {}, {}, road_of("roundabout")), rows)
+
+
+@pytest.mark.parametrize("name", ["harshness", "slow_patch"])
+def test_diagnose_adds_nothing_that_a_law_does_not_have(name):
+    with pytest.raises(InputError, match=rf"^effect {name}: acts on the preferences of adaptive_seek, and idm has"):
+        check_names([name], "idm")
+    check_names([name], "adaptive_seek")
+    check_names(["drag", "discovered_force:speed"], "idm")
 
 
 def test_the_cure_works():
