@@ -34,7 +34,6 @@ from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.formats.roads import read_road as read_road
 from sugiyama_ros.formats.table import tracks_of_frame
 from sugiyama_ros.laws.registry import PAPERS
-from sugiyama_ros.laws.registry import law as law_of
 from sugiyama_ros.page import recording
 from sugiyama_ros.page.diagnosis import check_same, read_diagnosis
 from sugiyama_ros.page.document import document as document_of
