@@ -374,8 +374,7 @@ def diagnose(
     law : str
         Name of the law by which the drivers of the base model drive, such as ``"idm"``; the paper's by default.
     simulations : int
-        Number of recordings that each model simulates, at most 1000, which say what the approximations of the filter
-        do.
+        Number of recordings that each model simulates, 1000 at most, which say what the filter's approximations do.
     seed : int
         Seed of all random numbers.
 

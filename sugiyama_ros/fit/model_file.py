@@ -5,6 +5,7 @@ decide, and origin of the data.
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from difflib import get_close_matches
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,6 +28,12 @@ from sugiyama_ros.plugins import FAILED
 from sugiyama_ros.road import LENGTHS_M, PERIODS_S, RINGS_M
 
 _FORMAT = 1
+# What a file may say, and what it may say of one driver.
+_KEYS = (
+    *("sugiyama_model", "version", "data", "road", "decision_period_s", "individual", "effects", "shared_std"),
+    *("drivers", "cautions", "population", "goals", "classes"),
+)
+_OF_DRIVER = ("parameters", "std", "law", "effects", "length_m")
 # libyaml, if it is installed, is ten times faster
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
@@ -247,31 +254,23 @@ def read_model(path: Path) -> ModelFile:
         raise InputError(
             f"{path}: is not a model file of format {_FORMAT}; write one with `sugiyama diagnose --output`"
         )
+    _check_keys(document, _KEYS, str(path))
     drivers = document.get("drivers")
     if not isinstance(drivers, dict) or not drivers:
-        raise InputError(f"{path}: drivers: the file has none")
-    rows, vehicles, lengths = [], [], []
+        raise InputError(f"{path}: drivers: give the parameters of each driver by the number of the vehicle")
+    rows, lengths = [], []
     for vehicle, about in drivers.items():
         where = f"{path}: drivers: {str(vehicle)[:40]}"
-        row: Array = np.zeros(ROW.width)
         try:
-            row[:COUNT] = [number(about["parameters"][name], name) for name in NAMES]
-            for name, values in about.get("law", {}).items():
-                row = drive_by(row, str(name), {str(p): number(v, str(p)) for p, v in values.items()})
-            for name, values in about.get("effects", {}).items():
-                _check_installed(str(name))
-                row = switch_on(row, str(name), {str(p): number(v, str(p)) for p, v in values.items()})
-            check_for_filter(row[:COUNT])
             if type(vehicle) is not int or not 0 <= vehicle < 1 << 31:
                 raise InputError("is not the number of a vehicle; give 0 to 2147483647")
-            vehicles.append(vehicle)
+            rows.append(_row(about))
             if "length_m" in about:
                 lengths.append(_within(about["length_m"], "length_m", LENGTHS_M))
         except InputError as error:
             raise InputError(f"{where}: {error}") from None
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise InputError(f"{where}: {_wrong(error)}; give every parameter a number") from None
-        rows.append(row)
     types = _types(path, document["classes"]) if "classes" in document else None
     drawn = _population(path, document["population"]) if "population" in document else None
     intended = _goals(path, document["goals"]) if "goals" in document else None
@@ -283,7 +282,7 @@ def read_model(path: Path) -> ModelFile:
         raise InputError(f"{path}: cautions: give a list of sentences, or leave it out")
     source, checksum = str(known.get("source", "")), str(known.get("sha256", ""))
     return ModelFile(
-        vehicle=np.array(vehicles),
+        vehicle=np.array(list(drivers)),
         rows=stacked,
         effects=active(stacked),
         source=source,
@@ -296,12 +295,47 @@ def read_model(path: Path) -> ModelFile:
     )
 
 
+def _row(about: Mapping[str, Any]) -> Array:
+    """The row (WIDTH,) of a driver in a model file. Raises InputError, KeyError, TypeError or ValueError."""
+    row: Array = np.zeros(ROW.width)
+    _check_keys(about, _OF_DRIVER)
+    given, by = about["parameters"], _mapping(about.get("law", {}), "law")
+    _check_keys(given, NAMES, "parameters")
+    row[:COUNT] = [number(given[name], name) for name in NAMES]
+    if len(by) > 1:
+        raise InputError(f"law: gives {', '.join(map(str, by))}; a driver has one law, so leave out all others")
+    for name, values in by.items():
+        row = drive_by(row, str(name), {str(p): number(v, str(p)) for p, v in _mapping(values, str(name)).items()})
+    for name, values in _mapping(about.get("effects", {}), "effects").items():
+        _check_installed(str(name))
+        row = switch_on(row, str(name), {str(p): number(v, str(p)) for p, v in _mapping(values, str(name)).items()})
+    check_for_filter(row[:COUNT])
+    return row
+
+
+def _check_keys(given: Any, known: Sequence[str], where: str = "") -> None:
+    """Raise InputError if there is no mapping, or for a key that no model file has, which would change nothing."""
+    for key in _mapping(given, where or "entry"):
+        if key not in known:
+            near = get_close_matches(str(key).lower(), known, 1)
+            cure = f"did you mean {near[0]}?" if near else f"give {', '.join(known)}"
+            raise InputError(f"{f'{where}: ' if where else ''}{str(key)[:40]!r} is not known; {cure}")
+
+
+def _mapping(given: Any, where: str) -> Mapping[Any, Any]:
+    """Return a mapping of a document. Raises InputError."""
+    if not isinstance(given, dict):
+        raise InputError(f"{where}: is {str(given)[:40]!r}; give names with their values, such as name: 1.0")
+    return given
+
+
 def _conditions(path: Path, document: Mapping[str, Any], length_m: tuple[float, ...]) -> Conditions:
     """Where and how the drivers of a model file drove. Raises InputError."""
     road, individual = document.get("road", {}), document.get("individual", [])
     try:
         if not isinstance(road, dict):
             raise InputError("road: give ring_m, or leave it out")
+        _check_keys(road, ("ring_m",), "road")
         if not isinstance(individual, list):
             raise InputError("individual: give a list of names of parameters, or leave it out")
         ring_m, period_s = road.get("ring_m"), document.get("decision_period_s")
@@ -342,6 +376,9 @@ def _check_installed(name: str) -> None:
 def _types(path: Path, classes: Any) -> DriverTypes:
     """Return the classes in a model file. Raises InputError."""
     try:
+        for one in classes:
+            _check_keys(one, ("share", "parameters"))
+            _check_keys(one["parameters"], NAMES, "parameters")
         share = np.array([number(one["share"], "share") for one in classes])
         rows = np.array([[number(one["parameters"][name], name) for name in NAMES] for one in classes])
         if not len(share) or not (share > 0.0).all():
@@ -357,13 +394,18 @@ def _types(path: Path, classes: Any) -> DriverTypes:
 
 def _population(path: Path, given: Any) -> Population:
     """Return the population in a model file. Raises InputError."""
-    found = {}
+    found: dict[str, tuple[float, float]] = {}
+    medians = population()
     try:
+        _check_keys(given, NAMES)
         for name, about in given.items():
+            _check_keys(about, ("median", "log_std"), str(name))
             median, std = number(about["median"], f"{name}: median"), number(about["log_std"], f"{name}: log_std")
-            if name not in NAMES or std < 0.0:
-                raise ValueError(str(name))
+            if std < 0.0:
+                raise InputError(f"{name}: log_std: {std:g} is not possible; give 0 or more")
             found[str(name)] = median, std
+            medians[index(name)] = median
+        check_for_filter(medians)
     except InputError as error:
         raise InputError(f"{path}: population: {error}") from None
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -378,9 +420,12 @@ def _goals(path: Path, given: Any) -> KnownGoals:
         if not isinstance(given, list):
             raise ValueError("no list")
         for one in given:
+            _check_keys(one, ("name", "place", "speed", "deceleration", "lane", "share"))
+            if not isinstance(one["name"], str):
+                raise InputError(f"name: is {str(one['name'])[:40]!r}; give letters, digits and underscores")
             values = {key: number(one[key], key) for key in ("place", "speed", "deceleration", "share")}
-            shares[str(one["name"])] = values.pop("share")
-            goals.append(Goal(str(one["name"]), **values, lane=str(one.get("lane", ""))))
+            shares[one["name"]] = values.pop("share")
+            goals.append(Goal(one["name"], **values, lane=str(one.get("lane", ""))))
         if not goals or not all(share > 0.0 for share in shares.values()) or not sum(shares.values()) < 1.0:
             raise ValueError("share")
     except InputError as error:

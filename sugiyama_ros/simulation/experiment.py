@@ -12,7 +12,7 @@ from sugiyama_ros.effects.effect import NEEDS, RING
 from sugiyama_ros.effects.needs import check_effect, check_parameter
 from sugiyama_ros.effects.registry import ROW, active, switch_on
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.road import Road
+from sugiyama_ros.road import LENGTHS_M, PERIODS_S, Road
 from sugiyama_ros.simulation.result import Simulation
 from sugiyama_ros.simulation.simulator import Clock, Simulator, evenly, platoon, simulate
 from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M
@@ -74,7 +74,7 @@ class Experiment:
             ("vehicles", vehicles, 1, MAX_VEHICLES),
             ("duration_s", self.duration_s, 0.0, 1e9),
             ("gap_m", self.gap_m, 0.0, 1e6),
-            ("period_s", self.period_s, 1e-3, 1e3),
+            ("period_s", self.period_s, *PERIODS_S),
             ("spread", self.spread, 0.0, 10.0),
         ):
             if not lower <= value <= upper:
@@ -85,10 +85,11 @@ class Experiment:
             )
         if self.start not in ("jam", "equal") or (self.start == "equal" and self.ring_m == 0.0):
             raise InputError(f"start: {self.start} is not possible here; give jam, or on a ring equal")
-        if len(self.length_m) not in (0, 1, vehicles) or not all(0.0 < length < 100.0 for length in self.length_m):
+        shortest, longest = LENGTHS_M
+        if len(self.length_m) not in (0, 1, vehicles) or not all(shortest <= one <= longest for one in self.length_m):
             raise InputError(
-                f"length_m: {len(self.length_m)} lengths of {vehicles} vehicles; give one each, or one for all, above 0"
-                " and below 100 m"
+                f"length_m: {len(self.length_m)} lengths of {vehicles} vehicles; give one each, or one for all,"
+                f" {shortest:g} to {longest:g} m"
             )
         samples = vehicles * (int(self.duration_s / self.period_s) + 1)
         if samples > MAX_SAMPLES:

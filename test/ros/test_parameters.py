@@ -128,7 +128,7 @@ def test_a_file_for_several_nodes(make: Make, tmp_path: Path) -> None:
         ("replay", "wait_for:=[recorder]", "wait_for: recorder is no full name; give /recorder"),
         ("simulator", "controlled:=[-7]", "controlled: -7 is no vehicle, or was named before"),
         ("simulator", "lengths:=[]", "lengths: what was given is not a list of numbers; give one such as [0.0]"),
-        ("simulator", "lengths:=[.nan]", "give one each, or one for all, above 0 and below 100 m"),
+        ("simulator", "lengths:=[.nan]", "give one each, or one for all, 0.01 to 100 m"),
         ("tracks", "topics:=[]", "no centre line or no topics given"),
     ],
 )

@@ -74,6 +74,41 @@ def read_or_refuse(read: Any, path: Path) -> Any:
     return found
 
 
+@pytest.mark.parametrize(
+    ("place", "value", "said"),
+    [
+        (("Drivers",), {}, r"'Drivers' is not known; did you mean drivers\?"),
+        (("decision_period",), 0.5, r"'decision_period' is not known; did you mean decision_period_s\?"),
+        (("road",), {"ring": 50.0}, r"road: 'ring' is not known; did you mean ring_m\?"),
+        (("drivers",), "abc", "drivers: give the parameters of each driver by the number of the vehicle"),
+        (("drivers", 0, "lenght_m"), 4.0, r"drivers: 0: 'lenght_m' is not known; did you mean length_m\?"),
+        (("drivers", 0, "length_m"), 100.1, r"drivers: 0: length_m: 100\.1 is not possible; give 0\.01 to 100"),
+        (("drivers", 0, "effects"), [], r"drivers: 0: effects: is '\[\]'; give names with their values"),
+        (
+            ("drivers", 0, "parameters", "V_star"),
+            9.0,
+            r"drivers: 0: parameters: 'V_star' is not known; did you mean v_star\?",
+        ),
+        (("drivers", 0, "law"), {"idm": {}, "ovm": {}}, "drivers: 0: law: gives idm, ovm; a driver has one law"),
+        (("classes", 0, "shar"), 1.0, r"classes: 'shar' is not known; did you mean share\?"),
+        (
+            ("population",),
+            {"v_star": {"median": -1.0, "log_std": 0.1}},
+            "population: parameter v_star: -1 m/s is out of",
+        ),
+        (("population",), {"v_star": {"median": 9.0, "log_std": -1.0}}, "population: v_star: log_std: -1 is not"),
+        (("goals",), [{"name": None, "place": 9.0}], "goals: name: is 'None'; give letters"),
+    ],
+)
+def test_what_a_model_file_does_not_know_is_refused_where_it_stands(
+    tmp_path: Path, place: tuple[Any, ...], value: Any, said: str
+) -> None:
+    path = tmp_path / "model.yaml"
+    path.write_text(yaml_of(changed(MODEL, place, value)))
+    with pytest.raises(InputError, match=f"model.yaml: {said}"):
+        read_model(path)
+
+
 def test_a_model_is_read_or_refused_whatever_stands_in_each_field(tmp_path: Path) -> None:
     path = tmp_path / "model.yaml"
     path.write_text(yaml_of(MODEL))
