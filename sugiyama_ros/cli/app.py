@@ -17,7 +17,16 @@ _WRITTEN = {"output", "save", "save_state", "directory"}
 
 
 class _Command(TyperCommand):
-    """A command that never writes to a file that it was given as an input."""
+    """A command that never writes to a file that it was given as an input, and takes no empty text for a folder."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        # as a path, an empty text is the current folder
+        is_empty = "" in args and not any(one and Path(one) == Path() for one in args)
+        rest = super().parse_args(ctx, args)
+        for name, value in ctx.params.items() if is_empty else ():
+            if Path() in (value if isinstance(value, list | tuple) else [value]):
+                raise InputError(f"{name}: is empty; give the name of a file or a folder")
+        return rest
 
     def invoke(self, ctx: Any) -> Any:
         for name, value in ctx.params.items():

@@ -8,6 +8,7 @@ import yaml
 
 import sugiyama_ros as sg
 from sugiyama_ros.cli import data
+from sugiyama_ros.cli.app import app
 from sugiyama_ros.cli.output import print_cautions, print_line, print_note, print_table
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.results import TextTable
@@ -57,6 +58,20 @@ def test_a_bag_that_is_not_there_is_called_missing(tmp_path: Path) -> None:
     (tmp_path / "nope.recovered.mcap").touch()
     with pytest.raises(InputError, match="nope: cannot be read: No such file or directory; check the name"):
         data.recover(tmp_path / "nope", overwrite=True)
+
+
+@pytest.mark.parametrize(
+    ("given", "what"),
+    [
+        (["info", ""], "files"),
+        (["compare", "a.csv", ""], "sources"),
+        (["compare", "a.csv", "--model", ""], "model"),
+        (["simulate", "-o", ""], "output"),
+    ],
+)
+def test_an_empty_name_is_not_the_current_folder(given: list[str], what: str) -> None:
+    with pytest.raises(InputError, match=f"{what}: is empty; give the name of a file or a folder"):
+        app(given, standalone_mode=False)
 
 
 def test_an_error_steers_no_terminal() -> None:
