@@ -51,7 +51,8 @@ def study(options: _StudyOptions) -> None:
 
     given = [name for name in ("source", "runs", "seed", "ring", "output") if _is_given(options, name)]
     if not options.name and given:
-        raise InputError(f"study: --{given[0]}, and no name of a study; give a name (sugiyama study lists them)")
+        what = ", ".join(f"--{name}" for name in given)
+        raise InputError(f"study: {what}, and no name of a study; give a name (sugiyama study lists them)")
     if "ring" in given and "source" not in given:
         raise InputError("--ring: is for measured drivers; leave it out, or give a FILE")
     if not options.name and options.as_json:
