@@ -62,9 +62,9 @@ def study(options: _StudyOptions) -> None:
         for one in STUDIES.values():
             print_line(f"{one.name:12} {one.question}")
         return
+    picture = None if options.output is None else to_write(options.output, options.overwrite, ".png", ".pdf")
     asked = study_of(options.name)
     asked.check(given)
-    picture = None if options.output is None else to_write(options.output, options.overwrite, ".png", ".pdf")
     if picture is not None:
         needs("matplotlib", "--output")
     trajectories = None

@@ -240,8 +240,8 @@ def compile_for_ever():
         time.sleep(600)
 interrupts.remember()
 thread = threading.Thread(target=compile_for_ever)
-thread.start()
 try:
+    thread.start()
     thread.join()
 except KeyboardInterrupt:  # as the command line ends
     interrupts.settled()
