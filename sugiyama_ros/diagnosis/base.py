@@ -13,12 +13,12 @@ import numpy as np
 from sugiyama_ros.diagnosis.candidates import Candidate
 from sugiyama_ros.diagnosis.forecast import forecasts
 from sugiyama_ros.diagnosis.refine import without_folds
-from sugiyama_ros.diagnosis.score import scores
+from sugiyama_ros.diagnosis.score import directions, scores
 from sugiyama_ros.diagnosis.table import Entry, paired
 from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.filters.abreast import ABREAST
-from sugiyama_ros.fit.joint import JointFit, fit_nearly
+from sugiyama_ros.fit.joint import JointFit, fit, fit_nearly
 from sugiyama_ros.fit.law import in_filter, start_of_drivers
 from sugiyama_ros.fit.model import PointwiseDensity, unknown
 from sugiyama_ros.fit.preparation import prepare
@@ -32,6 +32,8 @@ from sugiyama_ros.trajectories.tracks import Tracks
 
 # Standard errors by which another base model must be better: a missing effect makes it a little better, too.
 _CLEAR = 5.0
+# Steps of a fit that begins near the maximum.
+_FEW = 3
 _NOISES = Candidate("noises", "noises", "noise", tuple(map(index, FREED)), ({},))
 
 
@@ -47,7 +49,7 @@ def base_model(data: Recorded, work: Executor, law: str = PAPERS) -> tuple[Recor
         return data, base
     # each parameter of each driver gains about one nat that held-out samples do not confirm
     by_chance = len(FREED) * data.drivers
-    look = scores(data, base, [_NOISES], work, with_forces=False)
+    look = scores(data, base, list(directions(data, base, [_NOISES], work)), work)
     if max((one.gain for one in look), default=0.0) < by_chance:
         return data, base
     freed = replace(data, even=data.even._replace(has_other_noises=True))
@@ -76,7 +78,10 @@ def with_more_decisions(
     most = int(data.apart_s / 0.1 * (1.0 + ROUNDING))
     for parts in range(data.decisions + 1, most + 1):
         on_progress("more decisions between samples", parts - data.decisions - 1, most - data.decisions)
-        finer, again = base_model(prepare(recording, parts), work, law)
+        finer = prepare(recording, parts)
+        if fit(replace(finer, even=data.even), base.model, work, iterations=_FEW).samples.total <= best:
+            break
+        finer, again = base_model(finer, work, law)
         if again.samples.total <= best:
             break
         found, best = (finer, again), again.samples.total
@@ -102,9 +107,9 @@ def laws(data: Recorded, final: Entry, work: ThreadPoolExecutor) -> tuple[Entry,
     for law in LAWS:
         if law == own or _is_far_behind(data, law, final, work):
             continue
-        fit = in_filter(data, law, work)
-        models = without_folds(data, fit, work)
-        found.append(Entry(law, (), fit, models, forecasts(data, models, work)))
+        fitted = in_filter(data, law, work)
+        models = without_folds(data, fitted, work)
+        found.append(Entry(law, (), fitted, models, forecasts(data, models, work)))
     return tuple(found)
 
 
@@ -115,6 +120,6 @@ def _is_far_behind(data: Recorded, law: str, final: Entry, work: ThreadPoolExecu
     who = [k * data.drivers // ABREAST for k in range(ABREAST)]
     some = some_drivers(data, who)
     start = start_of_drivers(some, law)
-    fit = fit_nearly(some, start.individual, work, start)
-    ahead = np.nansum(final.forecasts.one_step[who], axis=1) - np.nansum(fit.samples.log_likelihood, axis=1)
+    fitted = fit_nearly(some, start.individual, work, start)
+    ahead = np.nansum(final.forecasts.one_step[who], axis=1) - np.nansum(fitted.samples.log_likelihood, axis=1)
     return bool(ahead.sum() > 2.0 * CLEARLY * sum_error(ahead))

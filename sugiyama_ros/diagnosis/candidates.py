@@ -13,11 +13,12 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import CONSTANTS, index
 from sugiyama_ros.effects.discovered_force import COVARIATES, KNOTS
-from sugiyama_ros.effects.effect import ATTENTION, MEASUREMENT, Effect, Extent
+from sugiyama_ros.effects.effect import ATTENTION, MEASUREMENT, Effect
 from sugiyama_ros.effects.needs import check_law
 from sugiyama_ros.effects.registry import EFFECTS, MECHANISM, ROW, index_of
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.first_look import SIGMAS
+from sugiyama_ros.fit.extent import recording_of, why_not
 from sugiyama_ros.fit.joint import LARGEST_STD
 from sugiyama_ros.fit.model import Model, PointwiseDensity
 from sugiyama_ros.fit.model_file import drivers_of
@@ -78,6 +79,13 @@ class Candidate:
     def is_judged_at_starts(self) -> bool:
         """Whether its gain at the starts counts: how the likelihood changes near the model says nothing of it."""
         return self.is_random or self.is_decision
+
+    @property
+    def is_somewhere(self) -> bool:
+        """Whether it acts at some place or moment on the road, which a search must find."""
+        of = EFFECTS[self.effect] if self.effect in EFFECTS and self.kind == "effect" else None
+        is_event = self.is_judged_at_starts or self.is_single_event
+        return of is not None and not is_event and any(p.axis for p in of.parameters)
 
     @property
     def is_single_event(self) -> bool:
@@ -217,47 +225,6 @@ def with_candidate(model: Model, candidate: Candidate, start: Start) -> Model:
     shared = tuple(k for k in model.shared if k not in new)
     std = model.prior_std + (LARGEST_STD,) * len(new)
     return replace(model, individual=model.individual + new, shared=shared, prior_std=std)
-
-
-def not_searched(data: Recorded) -> dict[str, str]:
-    """Return the effects that this recording cannot show, with the reason, by name.
-
-    On a road without lines and curves, effects that act only there are no question.
-    """
-    own = recording_of(data)
-    asked = [e for e in EFFECTS.values() if e.is_searched and (own.has_lines or own.has_curves or not _at_junctions(e))]
-    return {e.name: why for e in asked if (why := why_not(e, data))}
-
-
-def _at_junctions(e: Effect) -> bool:
-    """Whether an effect acts only at lines or in curves."""
-    return not e.starts(Extent(0.0, 100.0, 100.0, 0.0, 100.0))
-
-
-def why_not(e: Effect, data: Recorded) -> str:
-    """Return why a search for an effect makes no sense for a recording; empty if it does."""
-    around, axes = data.vicinity, {p.axis for p in e.parameters}
-    if not e.starts(recording_of(data)):
-        return "there are no lines or no curves" if _at_junctions(e) else "the road is no ring"
-    if around.is_whole_road:
-        return "too few vehicles" if data.drivers <= e.reach else ""
-    ahead = np.median([chain.position_m.shape[1] - 1 for chain in data.chains])
-    reasons = {
-        "each stretch of a track counts time from its own start": "time" in axes,
-        "recordings have no places in common": "place" in axes and not around.has_places,
-        "nothing is assumed of the vehicle behind": e.sees_rear,
-        "the leader's leader is not known": e.reach > ahead,
-    }
-    return next((reason for reason, holds in reasons.items() if holds), "")
-
-
-def recording_of(data: Recorded) -> Extent:
-    """Return what a search may know about a recording."""
-    around = data.vicinity
-    first, last = float(np.nanmin(around.position_m)), float(np.nanmax(around.position_m))
-    place, _, _, curvature = np.moveaxis(data.lines, -1, 0)
-    lines, curves = bool(np.isfinite(place).any()), bool((np.nan_to_num(curvature) > 0.0).any())
-    return Extent(*around.first_last_s, around.road.circumference_m, first, last, lines, curves)
 
 
 def push_of_one(data: Recorded, samples: PointwiseDensity) -> Candidate | None:

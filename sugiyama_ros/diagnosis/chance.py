@@ -48,8 +48,18 @@ class Chance(NamedTuple):
         return min(self.p_values.values(), default=1.0) < ALPHA
 
 
-def chance_of(data_scores: Sequence[Score], simulated: Sequence[Sequence[Score]], seed: int) -> Chance:
-    """Return what chance gives in the scores of a recording; simulated: scores of simulated recordings."""
+def chance_of(
+    data_scores: Sequence[Score],
+    simulated: Sequence[Sequence[Score]],
+    seed: int,
+    drawn: dict[Score, tuple[float, Array]] | None = None,
+) -> Chance:
+    """Return what chance gives in the scores of a recording.
+
+    simulated: scores of simulated recordings; drawn: filled with what each score gives that no simulation has, and used
+    if it is there.
+    """
+    drawn = {} if drawn is None else drawn
     shifts = [{_key(one): one for one in each} for each in simulated]
     # what was chosen among many places has one block, and everything else those of the recording
     blocks = max((len(one.driver) for one in data_scores), default=0)
@@ -60,7 +70,9 @@ def chance_of(data_scores: Sequence[Score], simulated: Sequence[Sequence[Score]]
     by_chance = np.full(_DRAWS, -np.inf)
     for one in data_scores:
         there = [known[_key(one)] for known in shifts if _key(one) in known]
-        observed, null = _observed_and_null(one, there, multipliers)
+        if there or one not in drawn:
+            drawn[one] = _observed_and_null(one, there, multipliers)
+        observed, null = drawn[one]
         tail, name, mechanism = Tail.of(null), one.candidate.name, one.candidate.mechanism
         alone[name] = max(alone.get(name, -np.inf), float(tail.improbable(observed)))
         largest[mechanism] = max(largest.get(mechanism, -np.inf), alone[name])

@@ -8,7 +8,7 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Literal
@@ -19,13 +19,13 @@ from scipy.stats import norm
 from sugiyama_ros.arguments import checked
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.base import base_model, laws, with_more_decisions
-from sugiyama_ros.diagnosis.candidates import Candidate, candidates, chosen, push_of_one
+from sugiyama_ros.diagnosis.candidates import FORCE, Candidate, candidates, chosen, push_of_one
 from sugiyama_ros.diagnosis.chance import Chance, chance_of
 from sugiyama_ros.diagnosis.check import Check, checks, judged
 from sugiyama_ros.diagnosis.forecast import HORIZONS_S, driven, forecasts
 from sugiyama_ros.diagnosis.refine import refined, without, without_folds
-from sugiyama_ros.diagnosis.score import Score, scores
-from sugiyama_ros.diagnosis.table import Difference, Entry, errors, is_better
+from sugiyama_ros.diagnosis.score import Direction, Score, directions, scores
+from sugiyama_ros.diagnosis.table import Difference, Entry, errors
 from sugiyama_ros.diagnosis.where import Located, locate
 from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.fit.joint import JointFit, maximise
@@ -38,7 +38,7 @@ from sugiyama_ros.fit.simulated import resampled_fits, seeds
 from sugiyama_ros.fit.standard_errors import shared_stds
 from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.progress import OnStage
-from sugiyama_ros.results import Result, bars, plain, to_json
+from sugiyama_ros.results import CLEARLY, Result, bars, plain, to_json
 from sugiyama_ros.statistics import ALPHA
 from sugiyama_ros.trajectories.tracks import Tracks
 
@@ -58,7 +58,8 @@ class Round:
     current: The model at the beginning of the round; scores: The best score of each mechanism, the most improbable
     one first; chance: What chance gives; gains: The models that were fitted, the best one first, with their gains over
     the current model, by column; added: The model to go on with; None if no model is clearly better; gain: What it
-    gains on unseen data, by column; alike: Models that cannot be told apart from the one that was added.
+    gains on unseen data, by column; is_better: Whether it is better on unseen data; alike: Models that cannot be told
+    apart from the one that was added.
     """
 
     current: Entry
@@ -67,6 +68,7 @@ class Round:
     gains: dict[Entry, dict[str, Difference]]
     added: Entry | None
     gain: dict[str, Difference]
+    is_better: bool = False
     alike: tuple[Entry, ...] = ()
 
     @property
@@ -83,7 +85,7 @@ class Round:
     def is_supported(self) -> bool:
         """Whether the data ask for what was added: chance rarely shows as much, and unseen data are forecast better."""
         rare = all(self.chance.p_values.get(c.mechanism, 1.0) < ALPHA for c in self.new)
-        return rare and is_better(self.gain)
+        return rare and self.is_better
 
     @property
     def closest_effect(self) -> Entry | None:
@@ -286,7 +288,7 @@ def diagnose(
 
 @dataclass(frozen=True, eq=False)
 class _Bench:
-    """What all rounds of a diagnosis share."""
+    """What all rounds of a diagnosis share; directions: of all candidates but noises, beside the base model."""
 
     data: Recorded
     simulations: int
@@ -294,6 +296,7 @@ class _Bench:
     work: ThreadPoolExecutor
     on_progress: OnStage
     known: dict[JointFit, list[tuple[Recorded, JointFit]]] = field(default_factory=dict)
+    directions: list[Direction] = field(default_factory=list)
 
     @cached_property
     def possible(self) -> tuple[Candidate, ...]:
@@ -320,7 +323,7 @@ class _Scored:
     by_name: dict[str, list[Score]]
     chance: Chance
 
-    @property
+    @cached_property
     def best(self) -> tuple[Score, ...]:
         """The score of each mechanism in the form that gains most beyond chance; the most improbable one first."""
         forms: dict[str, list[Score]] = {}
@@ -330,34 +333,53 @@ class _Scored:
             max(own, key=lambda one: one.gain - self.chance.needed[one.candidate.name]) for own in forms.values()
         )
 
+    @cached_property
+    def worth(self) -> list[Candidate]:
+        """What is worth a fit: the best of what chance rarely shows."""
+        open_ = [one.candidate for one in self.best if self.chance.p_values[one.candidate.mechanism] < ALPHA]
+        acting = [c for c in open_ if c.rank == 0][:_FITTED]
+        # the score of freed constants says little: they respond to whatever is missing, far from where they start
+        return [c for c in open_ if c in acting or c in open_[:_FITTED] or (c.kind == "constants" and not c.switches)]
+
 
 def _scored(bench: _Bench, fit: JointFit, rounds: Sequence[Round] = ()) -> _Scored:
     """Score everything that no round has added. What was dropped again does not come back, so a search ends."""
     bench.on_progress(f"round {len(rounds) + 1}: scoring", 0, 1)
     known = {c.mechanism for one in rounds if one.added is not None for c in one.added.added}
     known |= {c.mechanism for one in rounds for c in one.current.added}
+    left = [c for c in bench.possible if c.mechanism not in known]
+    if not bench.directions:
+        derived = [c for c in left if not c.is_judged_at_starts]
+        bench.directions.extend(directions(bench.data, fit, derived, bench.work, with_forces=True))
     push = push_of_one(bench.data, fit.samples)
-    left = [c for c in (*bench.possible, *((push,) if push else ())) if c.mechanism not in known]
+    further = [c for c in (*left, *((push,) if push else ())) if c.is_judged_at_starts or c is push]
+    along = [*bench.directions, *directions(bench.data, fit, further, bench.work)]
+    along = [one for one in along if one.candidate.mechanism not in known]
     by_name: dict[str, list[Score]] = {}
-    for one in sorted(scores(bench.data, fit, left, bench.work), key=lambda one: -one.gain):
-        if one.candidate.mechanism not in known:
-            by_name.setdefault(one.candidate.name, []).append(one)
+    for one in sorted(scores(bench.data, fit, along, bench.work), key=lambda one: -one.gain):
+        by_name.setdefault(one.candidate.name, []).append(one)
     every = [one for own in by_name.values() for one in own]
-    chance = chance_of(every, [], bench.seed)
-    if chance.shows_something:
-        # what the filter's approximations do must be known only where there is something to explain
-        promising = [c for c in left if chance.p_values.get(c.mechanism, 1.0) < ALPHA]
-        there = [scores(data, again, promising, bench.work) for data, again in bench.simulated(fit)]
-        chance = chance_of(every, there, bench.seed)
-    return _Scored(by_name, chance)
+    drawn: dict[Score, tuple[float, Array]] = {}
+    found = _Scored(by_name, chance_of(every, [], bench.seed, drawn))
+    if not found.chance.shows_something:
+        return found
+    # what the filter's approximations do must be known only of what would be fitted
+    there: list[list[Score]] = [[] for _ in bench.simulated(fit)]
+    known = set()
+    while new := {c.mechanism for c in found.worth} - known:
+        asked = [c for c in left if c.mechanism in new]
+        for own, (data, again) in zip(there, bench.simulated(fit), strict=True):
+            own += scores(
+                data, again, list(directions(data, again, asked, bench.work, with_forces=FORCE in new)), bench.work
+            )
+        found, known = _Scored(by_name, chance_of(every, there, bench.seed, drawn)), known | new
+    return found
 
 
 def _searched(bench: _Bench, first: Entry, found: _Scored, most: int | None) -> list[Round]:
-    """Add what the data support, one round after the other, until nothing is added; noise is the last thing."""
+    """Add what the data support, one round after the other, until nothing is added."""
     rounds = [_round(bench, first, found)]
     while (added := rounds[-1].added) is not None and (most is None or len(rounds) < most):
-        if added.added[-1].kind == "noise":
-            break
         rounds.append(_round(bench, added, _scored(bench, added.fit, rounds)))
     return rounds
 
@@ -371,7 +393,8 @@ def _told(bench: _Bench, first: Entry, found: _Scored, names: Sequence[str]) -> 
         candidate = chosen(bench.data, [*bench.possible, *scored], name)
         entry = _profiled(bench, current, _fitted(bench, current, candidate, found))
         won = {e: e.over(bench.data, current) for e in (entry, *_other_forms(bench, current, found, [entry]))}
-        rounds.append(Round(current, found.best, found.chance, won, entry, won[entry]))
+        is_better = entry.is_better(bench.data, current)
+        rounds.append(Round(current, found.best, found.chance, won, entry, won[entry], is_better))
         current = entry
         found = _scored(bench, current.fit, rounds)
     return [*rounds, Round(current, found.best, found.chance, {}, None, {})]
@@ -379,7 +402,16 @@ def _told(bench: _Bench, first: Entry, found: _Scored, names: Sequence[str]) -> 
 
 def _fitted(bench: _Bench, current: Entry, candidate: Candidate, found: _Scored) -> Entry:
     """The model with a candidate."""
-    fit = refined(bench.data, current.fit, candidate, found.by_name.get(candidate.name, ()), bench.work)
+    return _entered(bench, current, candidate, _refined(bench, current, candidate, found))
+
+
+def _refined(bench: _Bench, current: Entry, candidate: Candidate, found: _Scored) -> JointFit:
+    """The fit with a candidate."""
+    return refined(bench.data, current.fit, candidate, found.by_name.get(candidate.name, ()), bench.work)
+
+
+def _entered(bench: _Bench, current: Entry, candidate: Candidate, fit: JointFit) -> Entry:
+    """The model with a candidate, from its fit."""
     added = (*current.added, candidate)
     if fit is current.fit:  # nothing was found
         return Entry(candidate.name, added, fit, current.models, current.forecasts)
@@ -396,22 +428,23 @@ def _other_forms(bench: _Bench, current: Entry, found: _Scored, fitted: Sequence
 
 def _round(bench: _Bench, current: Entry, found: _Scored) -> Round:
     """Fit the candidates with the best scores beside a model, and choose."""
-    open_ = [s.candidate for s in found.best if found.chance.p_values[s.candidate.mechanism] < ALPHA]
-    acting = [c for c in open_ if c.rank == 0][:_FITTED]
-    # the score of freed constants says little: they respond to whatever is missing, far from where they start
-    worth = [c for c in open_ if c in acting or c in open_[:_FITTED] or (c.kind == "constants" and not c.switches)]
     won: dict[Entry, dict[str, Difference]] = {}
-    for number, candidate in enumerate(worth):
-        bench.on_progress(f"round {len(current.added) + 1}: fitting", number, len(worth))
-        entry = _fitted(bench, current, candidate, found)
-        won[entry] = entry.over(bench.data, current)
+    fits = {}
+    for number, candidate in enumerate(found.worth):
+        bench.on_progress(f"round {len(current.added) + 1}: fitting", number, len(found.worth))
+        fits[candidate] = _refined(bench, current, candidate, found)
+    for candidate, fit in fits.items():
+        # of each kind, what raises the likelihood by less than half of the most cannot win any more
+        most = max(other.objective for c, other in fits.items() if c.rank == candidate.rank)
+        if 2.0 * (fit.objective - current.fit.objective) >= most - current.fit.objective:
+            entry = _entered(bench, current, candidate, fit)
+            won[entry] = entry.over(bench.data, current)
     # of the best mechanism, all forms: what only some drivers seem to have, all of them may have as well
     if won:
-        leading = sorted(won, key=lambda e: (e.added[-1].rank, -won[e]["all"].nats))
-        first = (_allowed(won) or leading)[0]
+        first = (_allowed(bench, current, won) or sorted(won, key=lambda e: -won[e]["all"].nats))[0]
         fitted = [first, *(e for e in won if e is not first)]
         won |= {e: e.over(bench.data, current) for e in _other_forms(bench, current, found, fitted)}
-    added, alike = _best(bench, won)
+    added, alike = _best(bench, current, won)
     if added is not None:
         gain = won.pop(added)
         added = _profiled(bench, current, added)
@@ -424,6 +457,7 @@ def _round(bench: _Bench, current: Entry, found: _Scored) -> Round:
         gains=dict(sorted(won.items(), key=lambda one: -one[1]["all"].nats)),
         added=added,
         gain={} if added is None else added.over(bench.data, current),
+        is_better=added is not None and added.is_better(bench.data, current),
         alike=tuple(alike),
     )
 
@@ -440,37 +474,54 @@ def _profiled(bench: _Bench, current: Entry, entry: Entry) -> Entry:
 
 def _without_needless(bench: _Bench, current: Entry, entry: Entry) -> Entry:
     """A model without the additions that it does not need any more beside the last one; better than ``current``."""
-    if entry.fit.beside is not None:
-        return entry
     for candidate in entry.added[:-1]:
-        fit = maximise(bench.data, without(bench.data, entry.fit, candidate, bench.work), bench.work)
-        less = bench.entry(entry.name, tuple(c for c in entry.added if c is not candidate), fit)
-        if not is_better(entry.over(bench.data, less)) and is_better(less.over(bench.data, current)):
+        less = _without(bench, entry, candidate)
+        needs = entry.is_better(bench.data, less) and _is_away(bench, entry, candidate)
+        if not needs and less.is_better(bench.data, current):
             entry = less
     return entry
 
 
-def _allowed(won: dict[Entry, dict[str, Difference]]) -> list[Entry]:
-    """The models that may be added, the best one first: they are better, make sense, and no other kind goes before."""
-    allowed = [e for e in won if is_better(won[e]) and e.makes_sense]
-    rank = min((e.added[-1].rank for e in allowed), default=0)
-    return sorted((e for e in allowed if e.added[-1].rank == rank), key=lambda e: -won[e]["all"].nats)
+def _without(bench: _Bench, entry: Entry, candidate: Candidate) -> Entry:
+    """A model without one of its additions, fitted again; what holds the other parameters is fitted after them."""
+    added = tuple(c for c in entry.added if c is not candidate)
+    whole = entry.fit.beside or entry.fit
+    fit = maximise(bench.data, without(bench.data, whole, candidate, bench.work), bench.work)
+    if entry.fit.beside is not None:
+        last = added[-1]
+        found = scores(bench.data, fit, list(directions(bench.data, fit, [last], bench.work)), bench.work)
+        fit = refined(bench.data, fit, last, sorted(found, key=lambda one: -one.gain), bench.work)
+    return bench.entry(entry.name, added, fit)
 
 
-def _best(bench: _Bench, won: dict[Entry, dict[str, Difference]]) -> tuple[Entry | None, list[Entry]]:
+def _is_away(bench: _Bench, entry: Entry, candidate: Candidate) -> bool:
+    """Whether a strength of an addition is away from 0 by two standard errors, as far as these are known."""
+    places = [k for k in candidate.switches if k in entry.fit.model.shared]
+    stds = shared_stds(bench.data, entry.fit, bench.work) if places else {}
+    sizes = np.abs(entry.fit.model.rows[list(candidate.drivers) or slice(None)]).max(axis=0)
+    return not places or any(sizes[k] > CLEARLY * stds[ROW.entries[k]] for k in places)
+
+
+def _allowed(bench: _Bench, current: Entry, won: dict[Entry, dict[str, Difference]]) -> list[Entry]:
+    """The models that may be added, the best one first: they are better, and make sense."""
+    allowed = [e for e in won if e.makes_sense and e.is_better(bench.data, current)]
+    return sorted(allowed, key=lambda e: -won[e]["all"].nats)
+
+
+def _best(bench: _Bench, current: Entry, won: dict[Entry, dict[str, Difference]]) -> tuple[Entry | None, list[Entry]]:
     """The model that gains most, of those that are better; and what cannot be told apart from it; won: gain of each.
 
-    What changes how drivers act goes before freed constants, forces and moods, and these before noises: whatever
-    else is missing shows in them, too. Among models that cannot be told apart, what all drivers have goes before what
+    Among models that cannot be told apart, what changes how drivers act goes before freed constants, forces and moods,
+    and these before noises: whatever else is missing shows in them, too. Then, what all drivers have goes before what
     some have.
     """
-    allowed = _allowed(won)
+    allowed = _allowed(bench, current, won)
     if not allowed:
         return None, []
     first = allowed[0]
     alike = [e for e in won if e is first or not first.over(bench.data, e)["all"].is_clear]
-    addable = [e for e in alike if e in allowed]
-    best = min(addable, key=lambda e: (bool(e.added[-1].drivers), -won[e]["all"].nats))
+    order = sorted(alike, key=lambda e: (e.added[-1].rank, bool(e.added[-1].drivers), -won[e]["all"].nats))
+    best = next((e for e in order if e in allowed and _is_away(bench, e, e.added[-1])), None)
     return best, [e for e in alike if e is not best]
 
 
@@ -524,15 +575,11 @@ def _left(rounds: Sequence[Round], data: Recorded, final: Entry, rivals: Sequenc
     """Checks of what is left: the best candidate of the last round, other forms of what was added, other laws."""
     last = rounds[-1]
     left = []
-    # a score promises a gain; where a fit has found none, the promise is broken
-    broken = {e.added[-1].mechanism for e in last.gains if e.fit is last.current.fit}
-    scores_left = [one for one in last.scores if one.candidate.mechanism not in broken]
-    if last.added is None and scores_left:
-        p_values = last.chance.p_values
-        best = min(scores_left, key=lambda one: (p_values[one.candidate.mechanism], -one.gain))
-        left.append(
-            Check(f"left_for_{best.candidate.name}", best.gain, 0.0, "nats", p_values[best.candidate.mechanism])
-        )
+    if last.added is None and last.gains:
+        # of those that were fitted: the one that most probably gains, of so many
+        best = min((_gain_of(e, last.current, data) for e in last.gains), key=lambda check: check.p_value)
+        name = best.name.replace("gain_of_", "left_for_")
+        left.append(replace(best, name=name, p_value=min(1.0, len(last.gains) * best.p_value)))
     for one in rounds[: -1 if last.added is None else None]:
         # the best other form of what was added: unseen data may prefer it
         new = one.after.added[-1]

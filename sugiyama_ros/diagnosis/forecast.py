@@ -35,6 +35,7 @@ from sugiyama_ros.fit.model import (
     PointwiseDensity,
     between_measurements,
     filtered_states,
+    followed,
     jobs_of,
     states_of,
     together,
@@ -325,9 +326,6 @@ def _rows_at(rows: Array, moods: Sequence[Array]) -> Array:
 
 
 def _order(around: Vicinity, k: int, start: Array) -> Order:
-    """Who follows whom from sample k on, from a state (V, 4), and how many turns of the ring the leader is ahead."""
-    ring = around.road.circumference_m
-    leader = np.where(np.isfinite(start[around.leader[k], 0]), around.leader[k], -1)
-    headway = np.where(leader >= 0, start[leader, 0] - start[:, 0], 0.0)
-    turn = np.nan_to_num(ring * np.floor(headway / ring)) if ring else np.zeros(len(leader))
-    return Order(leader, turn, around.length_m[k], np.full((len(leader), len(NO_LINE)), np.nan))
+    """Who follows whom from sample k on, from a state (V, 4)."""
+    leader, turn = followed(around, slice(k, k + 1), start[None])
+    return Order(leader[0], turn[0], around.length_m[k], np.full((len(start), len(NO_LINE)), np.nan))

@@ -8,7 +8,7 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import FORCE, PUSH, Candidate, candidates, chosen, with_candidate
-from sugiyama_ros.diagnosis.score import Score, ScoreOfSome, scores
+from sugiyama_ros.diagnosis.score import Score, ScoreOfSome, directions, scores
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.coordinates import is_linear
 from sugiyama_ros.fit.joint import JointFit, at_model, maximise, renewed
@@ -52,7 +52,8 @@ def with_named(data: Recorded, fitted: JointFit, names: Sequence[str], work: Exe
     # names are checked before anything is fitted; which forces there are, the fitted model says
     known = {name: None if name.startswith(FORCE) else chosen(data, possible, name) for name in names}
     for name, one in known.items():
-        found = scores(data, fitted, [one] if one else [], work, with_forces=one is None)
+        along = directions(data, fitted, [one] if one else [], work, with_forces=one is None)
+        found = scores(data, fitted, list(along), work)
         candidate = one or chosen(data, [force.candidate for force in found], name)
         own = sorted((s for s in found if s.candidate.name == candidate.name), key=lambda s: -s.gain)
         fitted = refined(data, fitted, candidate, own, work)

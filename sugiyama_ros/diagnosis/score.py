@@ -11,7 +11,7 @@ C. R. Rao, Proc. Camb. Philos. Soc. 44 (1948) 50; P. J. Bickel et al., Efficient
 Semiparametric Models (1993), chapter 2.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -20,16 +20,19 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.diagnosis.candidates import OF_SOME, Candidate, Start, with_candidate
-from sugiyama_ros.diagnosis.covariates import forces
-from sugiyama_ros.effects.control import is_contaminated
+from sugiyama_ros.diagnosis.forces import forces
 from sugiyama_ros.fit.coordinates import coordinate, value
+from sugiyama_ros.fit.efficient import EfficientDriver
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model import Model, PointwiseDensity, evaluate_each, moved
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.slopes import Column, column, density_slope, difference_steps, no_density
+from sugiyama_ros.fit.response import Response
+from sugiyama_ros.fit.slopes import Column, column, difference_steps, no_density
 
 # A direction whose information is a smaller part of the largest one of its candidate says nothing.
 _NOTHING = 1e-9
+# Number of places or moments of a candidate, of all that are tried, at which the filter runs.
+_PLACES = 3
 # Strengths of those who have it, in standard errors of a driver, and shares of drivers; two classes need some drivers.
 _SIZES, _SHARES, _FEWEST = (1.0, 1.5, 2.0, 3.0, 4.5, 7.0, 10.0), (0.05, 0.1, 0.2, 0.35, 0.5, 0.75), 4
 
@@ -128,7 +131,7 @@ class ScoreOfSome(Score):
         """Probability that each driver has it, (N,)."""
         totals = self.summed(self.score)
         _, (size,), (share,) = self._best(totals)
-        ratio = np.exp(np.clip(self._ratios(totals[0, :, 0], size), -50.0, 50.0))
+        ratio = np.exp(np.clip(_ratios(totals[0, :, 0], self.total[:, 0, 0], size), -50.0, 50.0))
         return np.asarray(share * ratio / (1.0 - share + share * ratio))
 
     @property
@@ -140,23 +143,26 @@ class ScoreOfSome(Score):
         """Return the gains (B,) [nats] of the mixtures that fit scores (B, N, 1) best."""
         return self._best(totals)[0]
 
-    def _ratios(self, totals: Array, size: Any) -> Array:
-        """Logarithm of the likelihood ratio of drivers with a strength, for scores (..., N)."""
-        return np.asarray(size * totals - 0.5 * size**2 * self.total[:, 0, 0])
-
     def _best(self, totals: Array) -> tuple[Array, Array, Array]:
         """Gain, strength and share of drivers of the best mixture, for scores (B, N, 1); (B,) each."""
         information = self.total[:, 0, 0]
         usual = 1.0 / np.sqrt(max(float(np.mean(information)), 1e-300))
         signs = (1.0,) if self.candidate.has_sign else (1.0, -1.0)
         gain, size, share = np.full((3, len(totals)), -np.inf)
+        # single precision: half of the time
+        own, known = totals[:, :, 0].astype(np.float32), information.astype(np.float32)
         for one in (sign * k * usual for sign in signs for k in _SIZES):
-            ratio = np.clip(self._ratios(totals[:, :, 0], one), -50.0, 50.0)
+            ratio = np.clip(_ratios(own, known, np.float32(one)), np.float32(-50.0), np.float32(50.0))
             for part in _SHARES:
                 there = np.log1p(part * np.expm1(ratio)).sum(axis=1)
                 better = there > gain
                 gain[better], size[better], share[better] = there[better], one, part
         return gain, size, share
+
+
+def _ratios(totals: Any, information: Any, size: Any) -> Array:
+    """Logarithm of the likelihood ratio of drivers with a strength, for scores (..., N) and information (N,)."""
+    return np.asarray(size * (totals - np.float32(0.5) * size * information))
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,8 +237,11 @@ class _Probe(NamedTuple):
     group: tuple[object, ...]
 
 
-class _Direction(NamedTuple):
-    """A direction of a candidate: derivatives of each driver's samples; for noises, the model and the samples there."""
+class Direction(NamedTuple):
+    """A direction of a candidate: derivatives of each driver's samples; for noises, the model and the samples there.
+
+    group: directions with the same one are fitted together.
+    """
 
     candidate: Candidate
     start: Start
@@ -241,52 +250,86 @@ class _Direction(NamedTuple):
     there: tuple[Model, PointwiseDensity] | None
 
 
-def scores(
-    data: Recorded,
-    fitted: JointFit,
-    candidates: Sequence[Candidate],
-    work: Executor,
-    *,
-    with_forces: bool = True,
-) -> list[Score]:
-    """Score candidates, and forces along all covariates, beside a fitted model."""
+def scores(data: Recorded, fitted: JointFit, directions: Sequence[Direction], work: Executor) -> list[Score]:
+    """Score candidates along their directions beside a fitted model.
+
+    Derivatives may belong to a model before, which hardly changes them: any direction gives a valid score. Those of the
+    best places and moments, which come from the response to first order, are computed again by the filter.
+    """
     nuisance = _Nuisance(data, fitted)
-    together: dict[tuple[object, ...], list[_Direction]] = {}
-    for one in _directions(data, fitted, candidates, work, with_forces=with_forces):
+    together: dict[tuple[object, ...], list[Direction]] = {}
+    for one in directions:
         together.setdefault(one.group, []).append(one)
     random = [parts[0] for parts in together.values() if parts[0].there]
     responded = [nuisance.responded(data, *one.there) for one in random if one.there]
-    asked = [nuisance.score(parts) for parts in together.values() if not parts[0].there]
+    found = {group: _forms(nuisance.score(parts)) for group, parts in together.items() if not parts[0].there}
     for one, at in zip(random, evaluate_each(data.roughly, responded, work), strict=True):
-        asked.append(nuisance.gain(one, at))
-    found = [one for one in asked if one is not None]
-    return [*found, *(some for one in found for some in of_some(one))]
+        found[one.group] = _forms(nuisance.gain(one, at))
+    near = _best_places(found)
+    for group, parts in zip(near, _filtered(data, fitted, [together[group] for group in near], work), strict=True):
+        found[group] = _forms(nuisance.score(parts))
+    return [one for forms in found.values() for one in forms]
 
 
-def _directions(
-    data: Recorded,
-    fitted: JointFit,
-    candidates: Sequence[Candidate],
-    work: Executor,
-    *,
-    with_forces: bool,
-) -> Iterator[_Direction]:
-    """All directions of all candidates, then those of forces."""
-    probes = [probe for c in candidates for probe in _probes(data, fitted.model, c)]
-    drivers = range(data.drivers)
-    there = evaluate_each(data.roughly, [probe.model for probe in probes], work)
-    for (c, start, model, step, group), at in zip(probes, there, strict=True):
-        # a change of the mean or of the variance; what changes bad measurements is judged by its gain
-        columns = [
-            (*column(fitted.samples.of(i), at.of(i), step, model.rows[i])[:2], no_density(data.samples))
-            for i in drivers
+def _forms(score: Score | None) -> list[Score]:
+    """A score, and those of its candidate for some drivers alone."""
+    return [] if score is None else [score, *of_some(score)]
+
+
+def _best_places(found: Mapping[tuple[object, ...], Sequence[Score]]) -> list[tuple[object, ...]]:
+    """The groups with the best places or moments of each candidate that acts somewhere."""
+    best: dict[str, list[tuple[float, tuple[object, ...]]]] = {}
+    for group, forms in found.items():
+        if forms and forms[0].candidate.is_somewhere:
+            best.setdefault(forms[0].candidate.name, []).append((max(one.gain for one in forms), group))
+    return [group for own in best.values() for _, group in sorted(own, key=lambda one: -one[0])[:_PLACES]]
+
+
+def _filtered(
+    data: Recorded, fitted: JointFit, groups: Sequence[Sequence[Direction]], work: Executor
+) -> Iterator[list[Direction]]:
+    """Yield groups of directions with derivatives from passes of the filter."""
+    models = [with_candidate(fitted.model, one.candidate, one.start) for parts in groups for one in parts]
+    there = zip(models, evaluate_each(data.roughly, models, work), strict=True)
+    for parts in groups:
+        yield [
+            one._replace(columns=_columns(fitted, at, 1.0, model.rows))
+            for one, (model, at) in zip(parts, there, strict=False)
         ]
-        yield _Direction(c, start, columns, group, (model, at) if c.is_judged_at_starts and start else None)
-    zeros = no_density(data.samples)
-    for force, changes in forces(data, fitted, work) if with_forces else ():
-        for change in changes:
-            columns = [(change[i], zeros, zeros) for i in drivers]
-            yield _Direction(force, force.starts[0], columns, (force.name,), None)
+
+
+def _columns(fitted: JointFit, at: PointwiseDensity, step: float, rows: Array) -> list[Column]:
+    """Derivatives of mean and variance; what changes bad measurements is judged by its gain."""
+    nothing = no_density(at.log_likelihood.shape[1])
+    return [(*column(fitted.samples.of(i), at.of(i), step, row)[:2], nothing) for i, row in enumerate(rows)]
+
+
+def directions(
+    data: Recorded, fitted: JointFit, candidates: Sequence[Candidate], work: Executor, *, with_forces: bool = False
+) -> Iterator[Direction]:
+    """Yield all directions of candidates, then those of forces along all covariates.
+
+    What acts at some place or moment is scored at many of them: its directions come from the response to what drivers
+    do otherwise along the filtered path, and those of everything else from passes of the filter.
+    """
+    probes = [probe for c in candidates for probe in _probes(data, fitted.model, c)]
+    far = [probe for probe in probes if not probe.candidate.is_somewhere]
+    there = iter(evaluate_each(data.roughly, [one.model for one in far], work))
+    response = Response(data, fitted, work) if with_forces or len(far) < len(probes) else None
+    for c, start, model, step, group in probes:
+        if response and c.is_somewhere:
+            yield Direction(c, start, _moved(response.to_rows(model.rows)), group, None)
+            continue
+        at = next(there)
+        columns = _columns(fitted, at, step, model.rows)
+        yield Direction(c, start, columns, group, (model, at) if c.is_judged_at_starts and start else None)
+    for force, changes in forces(data, response) if response and with_forces else ():
+        yield from (Direction(force, force.starts[0], _moved(one), (force.name,), None) for one in changes)
+
+
+def _moved(change: Array) -> list[Column]:
+    """Derivatives of the mean alone, (N, T)."""
+    return [(one, np.zeros_like(one), np.zeros_like(one)) for one in change]
 
 
 def _probes(data: Recorded, model: Model, c: Candidate) -> Iterator[_Probe]:
@@ -318,11 +361,11 @@ class _Nuisance:
             np.unique(own[np.isfinite(at)]) for own, at in zip(data.block, fitted.samples.log_likelihood, strict=True)
         ]
         self._of = np.repeat(np.arange(len(blocks)), [len(b) for b in blocks]), np.concatenate(blocks)
-        self._known = [_Driver(data, fitted, i, own) for i, own in enumerate(blocks)]
+        self._known = [EfficientDriver(data, fitted, i, own) for i, own in enumerate(blocks)]
         shared = sum((one.shared for one in self._known), np.zeros((len(fitted.model.shared),) * 2))
         self._shared_inverse = np.linalg.pinv(shared)
 
-    def score(self, parts: Sequence[_Direction]) -> Score | None:
+    def score(self, parts: Sequence[Direction]) -> Score | None:
         """The efficient score along directions that are fitted together; None where nothing is known of them."""
         count = len(parts)
         u, h, cross = [], [], []
@@ -369,7 +412,7 @@ class _Nuisance:
             change[known.number, : known.own] = known.response(at, model.rows[known.number])
         return moved(data, model, change, np.zeros(len(model.shared)))
 
-    def gain(self, one: _Direction, responded: PointwiseDensity) -> Score | None:
+    def gain(self, one: Direction, responded: PointwiseDensity) -> Score | None:
         """The gain at a start that changes noises: of each driver there, or after the own parameters have responded."""
         assert one.there is not None
         found = []
@@ -382,74 +425,6 @@ class _Nuisance:
         if not np.isfinite(values).all():
             return None
         return Score(one.candidate, (one.start,), values, None, np.ones((1, 1)), *self._of, len(self._known))
-
-
-class _Driver:
-    """The samples of one driver, with the response of the driver's own parameters."""
-
-    def __init__(self, data: Recorded, fitted: JointFit, i: int, blocks: Ints) -> None:
-        self.number, model, self.own = i, fitted.model, len(fitted.model.individual)
-        self._columns = fitted.slopes[i].columns
-        self._row, self._at = model.rows[i], fitted.samples.of(i)
-        self._scored = np.isfinite(self._at.log_likelihood)
-        self._block = np.searchsorted(blocks, data.block[i][self._scored])
-        self._count = len(blocks)
-        has = np.concatenate([np.ones(self.own, np.bool_), model.has[i]])
-        self._slope, self._roots = self._derivatives(self._columns)
-        self._slope[~has] = 0.0
-        self._roots[~has] = 0.0
-        h = self._roots.reshape(len(has), -1) @ self._roots.reshape(len(has), -1).T
-        prior = np.diag(np.array(model.prior_std) ** -2.0)
-        own = self.own
-        self._inverse = np.linalg.inv(h[:own, :own] + prior)
-        self._takes = self._inverse @ h[:own, own:]
-        self.shared = h[own:, own:] - h[own:, :own] @ self._takes
-        # the prior counts evenly in all blocks
-        g = self.over_blocks(self._slope, is_scored=True)
-        away = model.away[i] / np.array(model.prior_std) / max(self._count, 1)
-        self._own_score = g[:, :own] - away
-        self.score_of_shared = g[:, own:] - self._own_score @ self._takes
-
-    def _derivatives(self, columns: Sequence[Column]) -> tuple[Array, Array]:
-        """Slopes of the log-likelihood (K, T'), and roots of the information (K, 2, T') of samples that count."""
-        dy, dvar, direct = (self._stacked(columns, part) for part in range(3))
-        y, var, _ = self._at
-        slope = (density_slope(y, var, dy, dvar, self._row) + direct)[:, self._scored]
-        if is_contaminated(self._row):
-            return slope, np.stack([slope, np.zeros_like(slope)], axis=1)
-        var = var[self._scored]
-        by_mean, by_var = dy[:, self._scored] / np.sqrt(var), dvar[:, self._scored] / (np.sqrt(2.0) * var)
-        return slope, np.stack([by_mean, by_var], axis=1)
-
-    def _stacked(self, columns: Sequence[Column], part: int) -> Array:
-        """One part of columns, (K, T)."""
-        return np.array([c[part] for c in columns], np.float64).reshape(len(columns), len(self._scored))
-
-    def over_blocks(self, values: Array, *, is_scored: bool = False) -> Array:
-        """Sum values (K, T) of samples that count over the blocks: (B, K)."""
-        kept = values if is_scored else values[:, self._scored]
-        return np.array([np.bincount(self._block, row, self._count) for row in kept]).reshape(len(kept), -1).T
-
-    def efficient(self, columns: Sequence[Column]) -> tuple[Array, Array, Array]:
-        """Score (B, K) and information (B, K, K) of each block, and information (S, K) shared with the parameters S."""
-        slope, roots = self._derivatives(columns)
-        count, own = len(columns), self.own
-        known, new = (r.reshape(len(r), -1) for r in (self._roots, roots))
-        cross = known @ new.T
-        takes = self._inverse @ cross[:own]
-        by_shared = cross[own:] - self._takes.T @ cross[:own]
-        # what is left of each direction, sample by sample
-        left = roots - np.einsum("ok,ojt->kjt", takes, self._roots[:own])
-        products = np.einsum("ajt,bjt->abt", left, left).reshape(count * count, -1)
-        information = self.over_blocks(products, is_scored=True).reshape(self._count, count, count)
-        return self.over_blocks(slope, is_scored=True) - self._own_score @ takes, information, by_shared
-
-    def response(self, at: PointwiseDensity, row: Array) -> Array:
-        """Change of the coordinates of the driver's own parameters (I,) at a start, to first order."""
-        y, var, density = at.of(self.number)
-        dy, dvar = (self._stacked(self._columns[: self.own], part) for part in range(2))
-        slope = density_slope(y, var, dy, dvar, row)[:, np.isfinite(density) & self._scored].sum(axis=1)
-        return np.asarray(self._inverse @ slope)
 
 
 def _inverse(information: Array) -> Array:

@@ -7,8 +7,9 @@ A. Vehtari, A. Gelman and J. Gabry, Stat. Comput. 27 (2017) 1413. C. Varin, N. R
 """
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import norm
@@ -26,10 +27,10 @@ from sugiyama_ros.statistics import sum_error
 
 @dataclass(frozen=True)
 class Difference:
-    """How much more one model forecasts than another: a sum over blocks of time and drivers.
+    """How much better one model forecasts than another: a sum over blocks of time and drivers.
 
-    nats: Difference of the log scores [nats]; se: Standard error: a jackknife over the blocks of time of each driver;
-    of whole roads, whose drivers depend on one another, over blocks of time.
+    nats: Difference of the log scores [nats], or of another score; se: Standard error: a jackknife over the blocks of
+    time of each driver; of whole roads, whose drivers depend on one another, over blocks of time.
     """
 
     nats: float
@@ -67,6 +68,15 @@ class Entry:
         new = [one for one in self.added if one not in other.added]
         return gains(data, self.forecasts, other.forecasts, once=bool(new) and all(one.is_single_event for one in new))
 
+    def is_better(self, data: Recorded, than: "Entry") -> bool:
+        """Whether it is better than another model by more than two standard errors over all horizons together.
+
+        And at no horizon worse than by chance: in nats, in CRPS, or in metres.
+        """
+        gain = self.over(data, than)
+        columns = [*gain.values(), *_in_metres(data, self.forecasts, than.forecasts)]
+        return gain["all"].is_clear and not any(one.is_loss(len(columns)) for one in columns)
+
     @property
     def signs(self) -> dict[str, tuple[float, float]]:
         """Values of what was added that have a smallest value which makes physical sense, and this value, by name."""
@@ -89,25 +99,31 @@ def gains(data: Recorded, better: Forecasts, than: Forecasts, *, once: bool = Fa
     """Return the gain of one model over another at each horizon, and over all of them together.
 
     Columns: ``one_step``; ``1s``, ``2s``, ``5s``, ``10s`` of single cars; ``road_1s`` and so on of all cars of a whole
-    road; ``all``, the sum of all but those of the road.
+    road; ``all``, the sum of all but those of the road, in which each column counts as much as the last one: as if
+    there were as many forecasts one step ahead as there are over 10 s.
 
     once: whether the models differ by something that happens once. Blocks of time then tell nothing of its error, and
     the standard error is that of the logarithm of a likelihood ratio, which is normal with a variance of twice its mean
-    if the better model is right. All columns see the same event, so that their errors add.
+    if the better model is right. The likelihood counts every sample once, so ``all`` is as clear as ``one_step``.
     """
-    parts = list(_differences(data, better, than))
-    single = [part for part in parts if not part[0].startswith("road")]
-    driver, block, nats = (np.concatenate(column) for column in list(zip(*single, strict=True))[1:])
+    parts = list(_differences(data, better, than, "log_score"))
+    single = [part for part in parts if not part.name.startswith("road")]
+    last = next((part.forecasts for part in reversed(single) if part.forecasts > 0.0), 1.0)
+    evenly = [part.won * (last / max(part.forecasts, 1.0)) for part in single]
+    driver, block = (np.concatenate([part[k] for part in single]) for k in (1, 2))
+    columns = [*parts, Horizon("all", driver, block, np.concatenate(evenly), math.nan)]
+    found = {c.name: _gain(data, c) for c in columns}
     if once:
-        won = {name: float(own.sum()) for name, _, _, own in parts}
-        error = {name: math.sqrt(2.0 * abs(own)) for name, own in won.items()}
-        won["all"], error["all"] = float(nats.sum()), sum(error[name] for name, *_ in single)
-        return {name: Difference(own, error[name]) for name, own in won.items()}
-    columns = (*parts, ("all", driver, block, nats))
-    blocks = int(data.block.max()) + 1
-    return {
-        name: _gain(when if name.startswith("road") else who * blocks + when, won) for name, who, when, won in columns
-    }
+        found = {name: replace(won, se=math.sqrt(2.0 * abs(won.nats))) for name, won in found.items()}
+        ratio = found["one_step"].se / max(found["one_step"].nats, 1e-9)
+        found["all"] = replace(found["all"], se=ratio * abs(found["all"].nats))
+    return found
+
+
+def _in_metres(data: Recorded, better: Forecasts, than: Forecasts) -> Iterator[Difference]:
+    """Differences of CRPS [m] and of squared errors [m^2] at each horizon, of one car and of all."""
+    for score in ("crps", "error"):
+        yield from (_gain(data, c) for c in _differences(data, better, than, score) if c.name != "one_step")
 
 
 def paired(data: Recorded, better: PointwiseDensity, than: PointwiseDensity) -> Difference:
@@ -120,11 +136,6 @@ def paired(data: Recorded, better: PointwiseDensity, than: PointwiseDensity) -> 
     where, block = np.unique(data.block[known], return_inverse=True)
     by_block = np.bincount(block, weights=difference[known], minlength=len(where))
     return Difference(float(by_driver.sum()), max(sum_error(by_driver), sum_error(by_block)))
-
-
-def is_better(gain: Mapping[str, Difference]) -> bool:
-    """Whether a model is better by more than two standard errors on the whole, and in no column worse but by chance."""
-    return gain["all"].is_clear and not any(one.is_loss(len(gain)) for one in gain.values())
 
 
 def errors(of: Forecasts) -> dict[str, float]:
@@ -154,23 +165,40 @@ def _rms(values: Array) -> float:
     return math.sqrt(_mean(np.square(values)))
 
 
-def _differences(data: Recorded, better: Forecasts, than: Forecasts) -> Iterator[tuple[str, Ints, Ints, Array]]:
-    """Each column: its name, and driver, block and difference of the log scores [nats] of each forecast."""
+class Horizon(NamedTuple):
+    """One column: its name; driver, block and gain of each forecast; and how many forecasts do not overlap."""
+
+    name: str
+    driver: Ints
+    block: Ints
+    won: Array
+    forecasts: float
+
+
+def _differences(data: Recorded, better: Forecasts, than: Forecasts, score: str) -> Iterator[Horizon]:
+    """Each column of a score: of ``log_score``, or how much less ``crps`` and the square of ``error`` are."""
     difference = better.one_step - than.one_step
     driver, t = np.nonzero(np.isfinite(difference))
-    yield "one_step", driver, data.block[driver, t], difference[driver, t]
+    yield Horizon("one_step", driver, data.block[driver, t], difference[driver, t], float(len(t)))
     start, period_s = better.start, data.vicinity.period_s
     apart_s = float(np.median(np.diff(start))) * period_s if len(start) > 1 else HORIZONS_S[-1]
     for prefix, ours, theirs in (("", better.single, than.single), ("road_", better.road, than.road)):
         if ours is None or theirs is None:
             continue
         for h, horizon_s in enumerate(HORIZONS_S):
-            difference = ours.log_score[:, h] - theirs.log_score[:, h]
-            s, driver = np.nonzero(np.isfinite(difference))
+            new, old = (getattr(runs, score)[:, h] for runs in (ours, theirs))
+            if score == "error":
+                new, old = np.square(new), np.square(old)
+            won = new - old if score == "log_score" else old - new
+            s, driver = np.nonzero(np.isfinite(won))
             share = min(apart_s / horizon_s, 1.0)
-            yield f"{prefix}{horizon_s:g}s", driver, data.block[driver, start[s]], share * difference[s, driver]
+            block = data.block[driver, start[s]]
+            yield Horizon(f"{prefix}{horizon_s:g}s", driver, block, share * won[s, driver], share * len(s))
 
 
-def _gain(unit: Ints, nats: Array) -> Difference:
-    """The sum, with its error over units."""
-    return Difference(float(nats.sum()), sum_error(np.bincount(np.unique(unit, return_inverse=True)[1], nats)))
+def _gain(data: Recorded, column: Horizon) -> Difference:
+    """The sum, with its error over blocks: of the time of each driver, or of a whole road."""
+    is_road = column.name.startswith("road")
+    unit = column.block if is_road else column.driver * (int(data.block.max()) + 1) + column.block
+    error = sum_error(np.bincount(np.unique(unit, return_inverse=True)[1], column.won))
+    return Difference(float(column.won.sum()), error)

@@ -12,10 +12,10 @@ import numpy as np
 from scipy.stats import norm
 
 from sugiyama_ros.arrays import Array, Mask
-from sugiyama_ros.diagnosis.covariates import covariates_of
 from sugiyama_ros.driver.parameters import RHO
 from sugiyama_ros.fit.model import Model, PointwiseDensity, filtered_states
 from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.surroundings import covariates_of
 from sugiyama_ros.statistics import failing
 
 # Number of bins of a covariate, and smallest number of samples in a bin.

@@ -7,14 +7,14 @@ from typing import TypeVar
 
 import numpy as np
 
-from sugiyama_ros.arrays import Array, Mask
+from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.filters.abreast import ABREAST
 from sugiyama_ros.filters.causal import ChainJob, Predicted, predict_samples, predict_states
 from sugiyama_ros.filters.chain import Chain
 from sugiyama_ros.filters.state import STATE
 from sugiyama_ros.fit.coordinates import LONGEST, coordinate, is_linear, limits, value
-from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.recording import Recorded, Vicinity
 
 _Any = TypeVar("_Any")
 
@@ -224,6 +224,18 @@ def between_measurements(data: Recorded, states: Array) -> Array:
                 between[:, 0] += w * (1.0 - w) * data.apart_s * bend
                 moved[ends[same] + j, column] = between
     return moved
+
+
+def followed(around: Vicinity, samples: slice, states: Array) -> tuple[Ints, Array]:
+    """Return whom each vehicle follows at some samples, -1 where nobody is known, and how far ahead the leader is in
+    whole turns of the ring [m]; (T, V) both, for states (T, V, 4) at these samples.
+    """
+    ahead, ring, x = around.leader[samples], around.road.circumference_m, states[:, :, 0]
+    of_leader = np.take_along_axis(x, np.maximum(ahead, 0), axis=1)
+    leader = np.where(np.isfinite(of_leader), ahead, -1)
+    headway = np.where(leader >= 0, of_leader - x, 0.0)
+    turn = np.nan_to_num(ring * np.floor(headway / ring)) if ring else np.zeros(leader.shape)
+    return leader, np.asarray(turn)
 
 
 def _see_first(data: Recorded, tracks: Sequence[Array], states: Array) -> None:

@@ -25,6 +25,8 @@ _SMOOTHED_S = 2.0
 # Samples of a driver do not count from so long [s] before a collision: real drivers do not get there, and the penalty
 # is flat within another vehicle.
 _BEFORE_COLLISION_S = 3.0
+# Steps of a fit to a simulated recording, which begins at the truth.
+_STEPS_FROM_TRUTH = 3
 
 
 def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generator) -> Recorded:
@@ -101,7 +103,7 @@ def resampled_fits(
     def one_run(rng: np.random.Generator) -> tuple[Recorded, JointFit]:
         truth = _drawn(data, fitted, rng)
         simulated = resample(data, truth, states, rng).roughly
-        return simulated, fit(simulated, truth, work)
+        return simulated, fit(simulated, truth, work, iterations=_STEPS_FROM_TRUTH)
 
     return parallel_map(one_run, rngs, "simulating the current model", on_progress)
 

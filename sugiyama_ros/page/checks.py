@@ -85,13 +85,13 @@ def check_in_words(d: Document, check: Document) -> str:
     measured, given, p = check_values(check)
     name, title = str(check["name"]), check_title(d, check)
     if name.startswith("left_for_"):
-        return f"{named(d, name.removeprefix('left_for_'))} would still gain {measured} on the fitted data ({p})"
+        return f"{named(d, name.removeprefix('left_for_'))} would still gain {measured} on unseen data ({p})"
     if name.startswith("gain_of_"):
         return f"{_other(d, name.removeprefix('gain_of_'))} gains {measured} more on unseen data ({p})"
     if name.startswith("sign_of_"):
         return f"{title} is {measured}; below {given} it makes no physical sense"
     kind = name.partition("_")[0]
-    units = {"bias": " times what chance makes", "spread": " times the predicted variance"}.get(kind, "")
+    units = {"bias": " predicted standard deviations", "spread": " times what is predicted"}.get(kind, "")
     return f"{title}: {measured}{units}, in the model's own simulations {given} ({p})"
 
 

@@ -12,14 +12,15 @@ from typing import Any
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.diagnosis.candidates import Candidate, not_searched
+from sugiyama_ros.diagnosis.candidates import Candidate
 from sugiyama_ros.diagnosis.compare import Compared, Comparison
 from sugiyama_ros.diagnosis.diagnose import Diagnosis, Round
-from sugiyama_ros.diagnosis.table import Difference, Entry, errors, gains, is_better
+from sugiyama_ros.diagnosis.table import Difference, Entry, errors, gains
 from sugiyama_ros.diagnosis.where import Located
 from sugiyama_ros.driver.parameters import CONSTANTS, KAPPA_V, V_STAR, Parameter
 from sugiyama_ros.effects.discovered_force import COVARIATES
 from sugiyama_ros.effects.registry import EFFECTS, ROW
+from sugiyama_ros.fit.extent import not_searched
 from sugiyama_ros.fit.standard_errors import own_stds
 from sugiyama_ros.laws.registry import LAWS, PAPERS, name_of
 from sugiyama_ros.statistics import ALPHA
@@ -242,7 +243,7 @@ def _doubts(one: Round) -> list[str]:
     doubts = {
         "score": any(one.chance.p_values.get(c.mechanism, 1.0) >= ALPHA for c in one.new),
         "gain": not one.gain["all"].is_clear,
-        "worse": one.gain["all"].is_clear and not is_better(one.gain),
+        "worse": one.gain["all"].is_clear and not one.is_better,
     }
     return [name for name, holds in doubts.items() if holds]
 

@@ -69,8 +69,9 @@ _BIAS = (
     " they are ahead. Black outline: more than chance makes. Grey: too few samples."
 )
 _CHECKS = (
-    "Bias: mean square over what chance makes. Spread: mean square of the errors over the variance that the model"
-    " predicts. Model: what its own simulations give. All checks are judged together, at a false-discovery rate of 5 %."
+    "Bias: root mean square over the bins, in predicted standard deviations. Spread: root mean square of the errors"
+    " over what the model predicts. Model: what its own simulations give. A check fails if the difference is larger"
+    " than its margin, and more than chance: all checks are judged together, at a false-discovery rate of 5 %."
 )
 _NATS = (
     "Nats: logarithm of how much more probable the model makes the data; one nat is a factor of 2.7. p: probability"

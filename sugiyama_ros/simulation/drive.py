@@ -196,6 +196,40 @@ def drive(
         out[i] = carry_out(meant, traffic.held[i], rows[i], setting.period)
 
 
+@kernel
+def act_along(
+    states: Array,
+    leader: Ints,
+    turn: Array,
+    length: Array,
+    lines: Array,
+    rows: Array,
+    actions: Array,
+    time_s: Array,
+    setting: Setting,
+    out: Array,
+) -> None:
+    """Compute the accelerations [m/s^2] of drivers at every state of known traffic, which does not follow them.
+
+    states: (T, V, 4), position [m], speed [m/s], noise and held acceleration [m/s^2]; leader, turn, length: (T, V), as
+    in ``Order``; lines: (T, N, 4), of the N first vehicles; rows: (V, width); time_s: (T,); out: (T, N), filled.
+    """
+    samples, vehicles, drivers = len(states), states.shape[1], out.shape[1]
+    held, pushed, line = states[0, :, 3].copy(), np.zeros(drivers), np.full((vehicles, lines.shape[2]), np.nan)
+    past = begin(states[0, :, 0], states[0, :, 1], held, held, rows, setting.period).past
+    for t in range(samples):
+        x, v, acceleration = states[t, :, 0].copy(), states[t, :, 1].copy(), states[t, :, 2] + states[t, :, 3]
+        line[:drivers] = lines[t]
+        traffic = Traffic(x, v, held, acceleration, past)
+        drive(traffic, Order(leader[t], turn[t], length[t], line), rows, actions, time_s[t], setting, out[t], pushed)
+        remember(traffic)
+        for i in range(vehicles):
+            # what a driver holds comes from the driver's own actions, as far as they are known
+            held[i] = out[t, i] if i < drivers and not math.isnan(out[t, i]) else states[t, i, 3]
+            if i < drivers:
+                out[t, i] += pushed[i]
+
+
 def move(own: _Motion, acceleration: Array, rows: Array, period: float, rng: np.random.Generator) -> _Motion:
     """Move vehicles by one period [s], with random shocks.
 

@@ -8,11 +8,12 @@ import pytest
 
 import sugiyama_ros as sg
 from sugiyama_ros.cli.app import app
-from sugiyama_ros.diagnosis.candidates import candidates, not_searched
+from sugiyama_ros.diagnosis.candidates import candidates
 from sugiyama_ros.diagnosis.forecast import forecasts
 from sugiyama_ros.diagnosis.table import errors
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.fit.extent import not_searched
 from sugiyama_ros.fit.model import Model, evaluate
 from sugiyama_ros.fit.preparation import prepare, prepare_stretches
 from sugiyama_ros.fit.recording import FOLDS

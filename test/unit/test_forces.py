@@ -8,13 +8,13 @@ import pytest
 from benchmarks.away.drivers import drawn
 from benchmarks.away.world import Hidden, Setup, record
 from sugiyama_ros.diagnosis.chance import chance_of
-from sugiyama_ros.diagnosis.covariates import covariates_of
 from sugiyama_ros.diagnosis.refine import refined
-from sugiyama_ros.diagnosis.score import scores
+from sugiyama_ros.diagnosis.score import directions, scores
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.fit.joint import fit_base
 from sugiyama_ros.fit.model import filtered_states
 from sugiyama_ros.fit.preparation import prepare
+from sugiyama_ros.fit.surroundings import covariates_of
 from sugiyama_ros.trajectories.dense import tracks_of
 
 CARS = 10
@@ -52,9 +52,14 @@ def moody(moment, view):
     return np.full(CARS, mood(view.time_s))
 
 
+def along(data, fit, work):
+    """Directions of all forces."""
+    return list(directions(data, fit, [], work, with_forces=True))
+
+
 def forces_of(data, fit, work):
     """Scores of forces, the largest gain first, and the p-value of the largest."""
-    found = sorted(scores(data, fit, [], work), key=lambda one: -one.gain)
+    found = sorted(scores(data, fit, along(data, fit, work), work), key=lambda one: -one.gain)
     return found, min(chance_of(found, [], 0).p_values.values())
 
 
@@ -68,7 +73,9 @@ def test_the_covariate_of_a_force_is_found(push, covariate, work):
 
 def test_the_size_of_a_force_is_about_right(work):
     data, fit = fitted(work, moody)
-    (one,) = [one for one in scores(data, fit, [], work) if one.candidate.name == "force_along_time"]
+    (one,) = [
+        one for one in scores(data, fit, along(data, fit, work), work) if one.candidate.name == "force_along_time"
+    ]
     rows = refined(data, fit, one.candidate, [one], work).model.rows
     start = one.candidate.starts[0]
     first, last = (value for place, value in sorted(start.items()) if place != min(start))

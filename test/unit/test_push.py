@@ -8,8 +8,8 @@ import pytest
 from sugiyama_ros.diagnosis.candidates import push_of_one
 from sugiyama_ros.diagnosis.forecast import forecasts
 from sugiyama_ros.diagnosis.refine import refined, without_folds
-from sugiyama_ros.diagnosis.score import scores
-from sugiyama_ros.diagnosis.table import Entry, is_better
+from sugiyama_ros.diagnosis.score import directions, scores
+from sugiyama_ros.diagnosis.table import Entry
 from sugiyama_ros.driver.parameters import defaults
 from sugiyama_ros.effects.registry import ROW, index_of, switch_on
 from sugiyama_ros.fit.law import in_filter
@@ -35,7 +35,7 @@ def test_the_car_and_the_moment_of_a_push_are_found(time_s):
     with ThreadPoolExecutor(2) as work:
         base = in_filter(data, PAPERS, work)
         push = push_of_one(data, base.samples)
-        found = sorted(scores(data, base, [push], work, with_forces=False), key=lambda one: -one.gain)
+        found = sorted(scores(data, base, list(directions(data, base, [push], work)), work), key=lambda one: -one.gain)
         fit = refined(data, base, push, found, work)
         fits = [without_folds(data, one, work) for one in (base, fit)]
         plain, pushed = (forecasts(data, models, work) for models in fits)
@@ -48,5 +48,4 @@ def test_the_car_and_the_moment_of_a_push_are_found(time_s):
     # the other blocks of time say nothing of the push, and leave it as it is
     for model in fits[1]:
         np.testing.assert_array_equal(model.rows[PUSHED, list(push.places)], fit.model.rows[PUSHED, list(push.places)])
-    gain = Entry("push", (push,), fit, fits[1], pushed).over(data, Entry("base", (), base, fits[0], plain))
-    assert is_better(gain)
+    assert Entry("push", (push,), fit, fits[1], pushed).is_better(data, Entry("base", (), base, fits[0], plain))

@@ -146,6 +146,11 @@ def test_the_drivers_who_have_an_effect_are_told_from_the_others() -> None:
 
 def test_checks_fail_at_one_false_discovery_rate() -> None:
     p_values_ = [0.001, 0.01, 0.04, 0.3, 0.5, 0.7, 0.9, math.nan]
-    found = judged([Check(f"c{k}", 0.0, 0.0, "1", p) for k, p in enumerate(p_values_)])
+    found = judged([Check(f"c{k}", 1.0, 0.0, "1", p) for k, p in enumerate(p_values_)])
     assert [one.name for one in found if one.failed] == ["c0", "c1"]
     assert len(found) == len(p_values_) - 1
+
+
+def test_a_small_difference_does_not_fail_however_improbable_it_is() -> None:
+    found = judged([Check("wave_speed", 5.1, 5.0, "m/s", 1e-9, margin=0.2), Check("period_s", 9.0, 5.0, "s", 1e-9, 3.0)])
+    assert [one.failed for one in found] == [False, True]

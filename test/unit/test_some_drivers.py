@@ -8,7 +8,7 @@ import pytest
 from sugiyama_ros.diagnosis.candidates import OF_SOME, candidates
 from sugiyama_ros.diagnosis.chance import chance_of
 from sugiyama_ros.diagnosis.refine import refined
-from sugiyama_ros.diagnosis.score import scores
+from sugiyama_ros.diagnosis.score import directions, scores
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW, index_of, switch_on
 from sugiyama_ros.fit.joint import fit_base
@@ -49,7 +49,7 @@ def fitted(work):
 def scored(fitted, work):
     """Scores of the patch, the largest gain first."""
     patch = [c for c in candidates(fitted[0]) if c.name == "slow_patch"]
-    return sorted(scores(*fitted, patch, work, with_forces=False), key=lambda one: -one.gain)
+    return sorted(scores(*fitted, list(directions(*fitted, patch, work)), work), key=lambda one: -one.gain)
 
 
 @pytest.fixture(scope="module")

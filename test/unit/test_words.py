@@ -127,10 +127,10 @@ def test_failed_checks_are_told_the_strongest_first_and_lead_to_what_to_do() -> 
         "Not explained: slower stretch of road (slow_patch) is missing, and so is something else."
     )
     assert headline(d).endswith("The model still fails 3 of 6 checks.")
-    place = "bias over the place: 6.3 times what chance makes, in the model's own simulations 1.1"
+    place = "bias over the place: 6.3 predicted standard deviations, in the model's own simulations 1.1"
     assert reasons(d) == [
         f"{place} (p < 0.001)",
-        "force without a name along the time gap (discovered_force:time_gap) would still gain 30 nats on the fitted"
+        "force without a name along the time gap (discovered_force:time_gap) would still gain 30 nats on unseen"
         " data (p 0.002)",
         "Gipps gains 40 nats more on unseen data (p 0.003)",
     ]
