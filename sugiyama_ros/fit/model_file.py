@@ -33,7 +33,7 @@ _KEYS = (
     *("sugiyama_model", "version", "data", "road", "decision_period_s", "individual", "effects", "shared_std"),
     *("drivers", "cautions", "population", "goals", "classes"),
 )
-_OF_DRIVER = ("parameters", "std", "law", "effects", "length_m")
+_OF_DRIVER = ("name", "parameters", "std", "law", "effects", "length_m")
 # libyaml, if it is installed, is ten times faster
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
@@ -145,7 +145,7 @@ def write_model(target: Target, data: Recorded, fitted: JointFit, cautions: Sequ
     )
     origin = around.numbers, around.source, around.sha256
     drivers = FittedDrivers(*origin, model.rows, own, shared, fitted.log_likelihood, conditions)
-    write_drivers(target, drivers, cautions=cautions)
+    write_drivers(target, drivers._replace(names=[one.shown for one in around.names]), cautions=cautions)
 
 
 class FittedDrivers(NamedTuple):
@@ -153,7 +153,8 @@ class FittedDrivers(NamedTuple):
 
     numbers: numbers of the vehicles; source, sha256: name and checksum of the recording; rows: (N, WIDTH), row of each
     driver; own_std: standard deviations of each driver's parameters; shared_std: of the parameters that all share;
-    log_likelihood: log-likelihood of the fit [nats]; conditions: where and how the drivers drove.
+    log_likelihood: log-likelihood of the fit [nats]; conditions: where and how the drivers drove; names: names of the
+    vehicles in the recording; empty where their numbers are their names.
     """
 
     numbers: Sequence[int]
@@ -164,6 +165,7 @@ class FittedDrivers(NamedTuple):
     shared_std: Mapping[str, float]
     log_likelihood: float
     conditions: Conditions = _UNKNOWN
+    names: Sequence[str] = ()
 
 
 def write_drivers(
@@ -175,8 +177,11 @@ def write_drivers(
     cautions: Sequence[str] = (),
 ) -> None:
     """Write the parameters of drivers as a model file. Raises OutputError."""
-    numbers, source, sha256, rows, own_std, shared_std, log_likelihood, conditions = fitted
-    drivers = {v: _driver(row, std) for v, row, std in zip(numbers, rows, own_std, strict=True)}
+    numbers, source, sha256, rows, own_std, shared_std, log_likelihood, conditions, names = fitted
+    drivers = {
+        v: {**({} if name == str(v) else {"name": name}), **_driver(row, std)}
+        for v, name, row, std in zip(numbers, names or map(str, numbers), rows, own_std, strict=True)
+    }
     for about, length_m in zip(drivers.values(), conditions.length_m, strict=False):
         about["length_m"] = length_m
     document = {

@@ -1,6 +1,5 @@
 """Replay of recorded trajectories."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -31,14 +30,13 @@ _LAST_VEHICLE = 2**31 - 1
 class RecordedPositions:
     """Recorded trajectories as samples; truth: what the drivers really did, where they were simulated."""
 
-    names: Mapping[int, str] = {}
-
     def __init__(self, trajectories: DenseTracks, truth: Truth | None = None) -> None:
         t, self.truth = trajectories, truth
         self.road, self.period_s, self.start_s, self.steps = t.road, t.period_s, t.start_s, len(t.position_m)
         self.source, self.sha256 = t.source, t.sha256
         self.trajectories = t
         self.vehicle, self.controlled = t.vehicle.tolist(), t.controlled
+        self.names = dict(zip(self.vehicle, t.names, strict=False))
         self._leader = np.where(t.leader >= 0, t.vehicle[t.leader], -1)
         self.true_vehicles: list[int] = [] if truth is None else truth.vehicle.tolist()
 

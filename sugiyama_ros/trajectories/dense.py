@@ -57,6 +57,8 @@ class DenseTracks:
         Name and checksum of the file that the positions come from; without a file, the checksum of the positions.
     controlled : tuple of int
         Numbers of the vehicles that a controller drives.
+    names : tuple of str
+        Names (N,) of the vehicles in their file; empty where their numbers are their names.
 
     Raises
     ------
@@ -73,6 +75,7 @@ class DenseTracks:
     source: str = ""
     sha256: str = ""
     controlled: tuple[int, ...] = ()
+    names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         samples, vehicles = self.position_m.shape
@@ -97,6 +100,11 @@ class DenseTracks:
         return (
             f"{vehicles} vehicles on {road}, {samples} samples of {self.period_s:.4g} s, from {self.source or 'memory'}"
         )
+
+    @property
+    def name(self) -> tuple[str, ...]:
+        """Names (N,) of the vehicles in their file."""
+        return self.names or tuple(map(str, self.vehicle.tolist()))
 
     @property
     def time_s(self) -> Array:
@@ -156,6 +164,7 @@ class DenseTracks:
             position_m=self.position_m[:, columns],
             length_m=self.length_m[columns],
             vehicle=self.vehicle[columns],
+            names=tuple(self.names[k] for k in columns.tolist()) if self.names else (),
         )
         part.__dict__["leader"] = place[self.leader[:, columns]]  # found among all vehicles
         return part
@@ -230,6 +239,7 @@ def dense(tracks: Tracks, where: str = "") -> DenseTracks:
     position[step, regular.run] = regular.s_m
     road = Road(regular.about.ring_m)
     number = numbers_of(regular)
+    names = tuple(regular.vehicle.at(row) for row in regular.start[:-1].tolist())
     found = DenseTracks(
         position_m=road.wrap(position),
         length_m=regular.length_m[regular.start[:-1]],
@@ -240,6 +250,7 @@ def dense(tracks: Tracks, where: str = "") -> DenseTracks:
         source=tracks.about.source,
         sha256=tracks.about.sha256,
         controlled=tuple(number[regular.controlled_runs].tolist()),
+        names=() if names == tuple(map(str, number.tolist())) else names,
     )
     if not _is_in_view(tracks):
         _check_leaders(regular, found, step, where)
@@ -377,7 +388,7 @@ def _check_order(road: DenseTracks, where: str) -> None:
     if followed.any() and np.mean(headway[followed] < 0.0) > _BEHIND:
         step, column = (int(one[0]) for one in np.nonzero(headway < 0.0))
         raise InputError(
-            f"{where}: vehicle {road.vehicle[column]} drives through vehicle {road.vehicle[leader[step, column]]} at"
+            f"{where}: vehicle {road.name[column]} drives through vehicle {road.name[leader[step, column]]} at"
             f" {road.time_s[step]:g} s: the road is a ring (give --ring METRES), or other lanes or recordings share"
             " this lane (give the column lane or recording)"
         )
