@@ -32,7 +32,9 @@ _UNKNOWN_ROWS = 0.02
 _BEHIND, _ENOUGH_SAMPLES = 0.02, 50
 # Part of the time that vehicles of a whole road are there.
 _PRESENT = 0.9
-_NUMBER = re.compile(r"\d{1,9}")
+_NUMBER = re.compile(r"\d{1,10}")
+#: Largest number of a vehicle, which ROS sends in 32 bits.
+LAST_VEHICLE = 2**31 - 1
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -335,12 +337,13 @@ def _check_apart(tracks: Tracks, step: Ints, period_s: float, where: str) -> Non
 
 
 def numbers_of(tracks: Tracks) -> Ints:
-    """A number for each run, (V,)."""
+    """A number for each run, (V,): the last one in its name where no two are alike, else the number of the run."""
     names = [tracks.vehicle.at(int(row)) for row in tracks.start[:-1]]
     found = [_NUMBER.findall(name) for name in names]
     numbers = [int(one[-1]) if one else -1 for one in found]
     named = [number for number in numbers if number >= 0]
-    if len(set(named)) < len(named):
+    last = max(named, default=-1) + len(names) - len(named)
+    if len(set(named)) < len(named) or last > LAST_VEHICLE:
         return np.arange(len(names))
     free = count(max(named, default=-1) + 1)
     return np.array([number if number >= 0 else next(free) for number in numbers], dtype=np.int64)
