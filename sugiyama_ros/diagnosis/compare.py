@@ -237,8 +237,7 @@ def _of_file(
     if model is None:
         return [], None
     name = f"file: {', '.join(model.effects) or 'base'}"
-    own = data.vicinity.sha256
-    if own and own == model.sha256:
+    if model.is_of(data.vicinity.sha256):
         rows = model.rows_of(np.array(data.vicinity.numbers))
         as_it_is = Model(rows, (), (), (), rows)
         return [_held_out(name, "in_sample", data, [as_it_is] * FOLDS, as_it_is, seed, work)], None

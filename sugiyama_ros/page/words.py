@@ -504,6 +504,16 @@ def use_of_file(c: Document, file: str) -> str | None:
     return text
 
 
+def start_of_drivers(file: str, is_own: bool | None, left_out: Sequence[str]) -> str:
+    """How the drivers of a run start from a model file: by their own parameters, or as its typical driver."""
+    if is_own is None:
+        return f"{file}: each driver starts as the driver of this number in the file"
+    if is_own:
+        return f"{file} was fitted to this recording: each driver starts from their own parameters"
+    text = f"{file} was fitted to another recording: each driver starts as its typical driver, and is estimated here"
+    return text + (f"; left out, tied to a moment of its own recording: {listed([*left_out])}" if left_out else "")
+
+
 def _behind(one: Document) -> str:
     return f"{model_name(one['name'])} is {gained(one['behind'])} nats behind"
 

@@ -119,6 +119,18 @@ def test_an_effect_of_some_drivers_is_sought_in_each_of_other_people(base, work,
     assert np.median(again.model.rows[:, index_of("slow_patch", "reduction")]) == pytest.approx(0.25, abs=0.1)
 
 
+def test_the_typical_driver_has_an_effect_where_those_who_have_it_say_it_acts(base, tmp_path):
+    data, fit = base
+    rows = switch_on(fit.model.rows, "slow_patch", PATCH)
+    rows[3:, ROW.places["slow_patch"]] = 0.0  # these drivers have none, and so no place
+    file = written(tmp_path, data, replace(fit, model=replace(fit.model, rows=rows)))
+    assert file.typical[index_of("slow_patch", "centre")] == 20.0
+    assert file.typical[index_of("slow_patch", "reduction")] == 0.0
+    assert np.array_equal(file.rows_of(file.vehicle, data.vicinity.sha256), file.rows)
+    assert np.array_equal(file.rows_of(file.vehicle), file.rows)
+    assert np.array_equal(file.rows_of(file.vehicle, "of others"), np.tile(file.typical, (CARS, 1)))
+
+
 def test_a_file_keeps_how_often_drivers_decide(work, tmp_path):
     tracks = recording(1, 1, every=2)
     data = prepare(tracks, 2)
