@@ -173,8 +173,8 @@ def _print_next(found: Mapping[str, Any], options: _DiagnoseOptions) -> None:
 
     bag, effects = _bag_for(sources[0]), found["verdict"]["effects"]
     if model is not None:
-        compared = command_line("compare", _CompareOptions, sources=sources, model=model, ring=ring, seed=options.seed)
-        print_line(f"model file: {model} (compare it: {compared})")
+        other = command_line("compare", _CompareOptions, sources=["OTHER"], model=model, ring=ring, seed=options.seed)
+        print_line(f"model file: {model}; whether it holds for another recording: {other}")
         if options.save is None and len(sources) == 1:
             print_line(f"use it: {run()}")
     if options.add is None and len({one["step"] for one in effects}) == FEW_STEPS:
