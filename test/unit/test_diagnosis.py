@@ -12,6 +12,7 @@ from sugiyama_ros.effects.registry import ROW, index_of, switch_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.laws.registry import number_of
+from sugiyama_ros.page import tables
 from sugiyama_ros.page.document import additions, document
 from sugiyama_ros.results import plain
 from sugiyama_ros.road import Road
@@ -55,6 +56,9 @@ def test_a_hidden_effect_is_added_and_makes_forecasts_better(hidden):
     assert one.heldout_gain_nats > one.heldout_gain_se
     assert {"one_step", "1s", "2s", "5s", "10s", "road_10s", "all"} <= set(one.gains)
     assert d.final.over(d.data, d.base)["all"].nats == pytest.approx(one.heldout_gain_nats)
+    # the table shows every column whose sum the gain is
+    summed = {name.replace("_", "") for name in one.gains if name != "all" and not name.startswith("road")}
+    assert {name.replace(" ", "") for name in tables.steps(plain(document(d))).headings[2:-3]} == summed
     assert d.outcome == ("not_explained" if any(check.failed for check in d.checks) else "explained")
 
 
