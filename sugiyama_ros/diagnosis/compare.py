@@ -236,13 +236,19 @@ def _of_file(
     """A model from a file: as it is on the recording that it was fitted to, and with other people on another one."""
     if model is None:
         return [], None
-    name = f"file: {', '.join(model.effects) or 'base'}"
     if model.is_of(data.vicinity.sha256):
         rows = model.rows_of(np.array(data.vicinity.numbers))
         as_it_is = Model(rows, (), (), (), rows)
+        name = _name_of_file(model.effects)
         return [_held_out(name, "in_sample", data, [as_it_is] * FOLDS, as_it_is, seed, work)], None
     fitted, given = fit_people(data, base, model, work)
+    name = _name_of_file([effect for effect in model.effects if effect not in given.left_out])
     return [_fitted(name, "given", data, fitted, seed, work)], given
+
+
+def _name_of_file(effects: Sequence[str]) -> str:
+    """Name of the model of a file, with these effects."""
+    return f"file: {', '.join(effects) or 'base'}"
 
 
 def _law(law: str, data: Recorded, seed: int, work: ThreadPoolExecutor) -> list[Compared]:

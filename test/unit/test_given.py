@@ -107,6 +107,15 @@ def test_a_moment_of_one_recording_is_left_out_of_another(name, strength, base, 
     assert not again.model.rows[:, index_of(effect, strength)].any()
 
 
+def test_a_comparison_names_only_the_effects_that_the_model_has_for_other_people(base, work, tmp_path):
+    data, fit = base
+    file = written(tmp_path, data, with_named(data, fit, ["preference_switch", "slow_patch"], work))
+    compared = compare(sg.simulate(3, ring_m=33.0, duration_s=40.0, seed=2).measured, model=file)
+    assert [one.name for one in compared.models if one.kind == "given"] == ["file: slow_patch"]
+    assert compared.given is not None
+    assert compared.given.left_out == ("preference_switch",)
+
+
 def test_an_effect_of_some_drivers_is_sought_in_each_of_other_people(base, work, tmp_path):
     data, fit = base
     rows = switch_on(fit.model.rows, "slow_patch", PATCH)
