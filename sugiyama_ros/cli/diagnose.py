@@ -91,6 +91,7 @@ def diagnose(options: _DiagnoseOptions) -> None:
     law(options.law)
     recording = read_tracks(options.sources, Choices(ring_m=options.ring))
     print_warnings(recording)
+    print_note(f"diagnosing {recording.headline()}")
     most = None if options.add else FEW_STEPS
     settings = {"add": add, "most": most, "law": options.law, "seed": options.seed, "simulations": options.simulations}
     with stages() as advance, helpers(options.scheduler) as workers:
@@ -222,6 +223,7 @@ def compare(options: _CompareOptions) -> None:
     given = read_model(options.model) if options.model is not None else None
     recording = read_tracks(options.sources, Choices(ring_m=options.ring))
     print_warnings(recording)
+    print_note(f"comparing models on {recording.headline()}")
     with stages() as advance, helpers(options.scheduler) as workers:
         compared = compare_models(
             recording, names(options.effects), given, seed=options.seed, workers=workers, on_progress=advance

@@ -32,6 +32,7 @@ def test_a_comparison_says_who_is_best_and_shows_six_rows(run, folder):
     run("sugiyama simulate --vehicles 4 --ring 45 --duration 40 --seed 2 -o other.csv")
     diagnosed = run("sugiyama diagnose ring.csv --ring 45 --simulations 1 --add drag -o model.yaml")
     assert diagnosed.code == 0, diagnosed.err
+    assert diagnosed.err.startswith("diagnosing 4 vehicles in 1 recording")
     (elsewhere,) = re.findall("(sugiyama compare OTHER .*)", diagnosed.out)
     said = run("sugiyama compare ring.csv --ring 45 --model model.yaml --seed 1")
     assert said.code == 0, said.err
@@ -59,6 +60,7 @@ def test_a_comparison_says_who_is_best_and_shows_six_rows(run, folder):
     assert "The whole road: recorded and simulated" in whole.out
     fresh = run(elsewhere.replace("OTHER", "other.csv"))
     assert fresh.code == 0, fresh.err
+    assert fresh.err.startswith("comparing models on 4 vehicles in 1 recording")
     assert "in sample" not in fresh.out
     assert "model.yaml: what it says of the road and of all drivers is taken as it is; sigma_nu," in fresh.out
     document = json.loads(run(elsewhere.replace("OTHER", "other.csv") + " --json").out)
