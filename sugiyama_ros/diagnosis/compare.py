@@ -224,8 +224,8 @@ def _held_out(
 
 def _base(recording: Tracks, model: ModelFile | None, work: ThreadPoolExecutor) -> tuple[Recorded, JointFit]:
     """The recording with the base model; drivers decide as often as those of a model file, if it says how often."""
-    if model is not None and model.conditions.decision_period_s is not None:
-        return base_model(prepare_for(recording, model), work)
+    if model is not None and (as_in_file := prepare_for(recording, model)) is not None:
+        return base_model(as_in_file, work)
     data, base = base_model(prepare(recording), work)
     return with_more_decisions(recording, data, base, work) or (data, base)
 

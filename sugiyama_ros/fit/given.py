@@ -41,11 +41,16 @@ def check_given(file: ModelFile) -> None:
         raise InputError(f"model: its drivers drive by several laws, {', '.join(laws)}; give a file of one law")
 
 
-def prepare_for(recording: Tracks, file: ModelFile) -> Recorded:
-    """Prepare a recording for drivers who decide as often as those of a model file. Raises InputError."""
-    data = prepare(recording)
+def prepare_for(recording: Tracks, file: ModelFile) -> Recorded | None:
+    """Prepare a recording for drivers who decide as often as those of a model file; None if it does not say how often.
+
+    Raises InputError.
+    """
     period_s = file.conditions.decision_period_s
-    if period_s is None or data.every > data.decisions:
+    if period_s is None:
+        return None
+    data = prepare(recording)
+    if data.every > data.decisions:
         return data
     decisions = decisions_between(data.apart_s, period_s)
     return data if decisions == data.decisions else prepare(recording, decisions)
