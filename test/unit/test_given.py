@@ -159,6 +159,7 @@ def test_simulated_drivers_of_a_file_drive_as_they_did(base, work, tmp_path):
     dense = sg.simulate(model=tmp_path / "model.yaml", duration_s=5.0).dense
     assert (dense.position_m.shape, dense.road) == ((16, CARS), Road(RING_M))
     assert np.allclose(dense.length_m, LENGTH_M)
+    assert dense.position_m[0].argmin() == 0  # the first driver of the file is behind all others
     fewer = sg.simulate(3, model=tmp_path / "model.yaml", ring_m=60.0, period_s=0.5, duration_s=5.0).dense
     assert (fewer.position_m.shape, fewer.road) == ((11, 3), Road(60.0))
 
