@@ -116,6 +116,14 @@ def test_a_comparison_names_only_the_effects_that_the_model_has_for_other_people
     assert compared.given.left_out == ("preference_switch",)
 
 
+def test_a_comparison_names_the_law_of_a_file(tmp_path):
+    rows = switch_on(np.array([drive_by(ROW.with_effects(defaults()), "idm")] * 3), "drag", {"c0": 0.1})
+    write_drivers(tmp_path / "idm.yaml", FittedDrivers(range(3), "", "", rows, [{}] * 3, {}, 0.0))
+    recorded = sg.simulate(3, ring_m=33.0, duration_s=40.0, seed=2).measured
+    compared = compare(recorded, model=read_model(tmp_path / "idm.yaml"))
+    assert [one.name for one in compared.models if one.kind == "given"] == ["file: idm, drag"]
+
+
 def test_an_effect_of_some_drivers_is_sought_in_each_of_other_people(base, work, tmp_path):
     data, fit = base
     rows = switch_on(fit.model.rows, "slow_patch", PATCH)
