@@ -176,8 +176,7 @@ def simulate(
     effects : mapping of str to mapping, optional
         Effects on all drivers with their values, such as ``{"drag": {"c0": 0.3}}``.
     model : str or Path, optional
-        Model file with parameters and effects of each driver, the road, lengths, and how often drivers decide. Its
-        drivers are the vehicles 0, 1 and so on in the order of the file, whoever drove ahead of whom in its recording.
+        Model file with the drivers, in the order in which they become vehicles, the road, and how often they decide.
     law : str
         Name of the law by which all drivers drive, such as ``"idm"``, with its usual values; the paper's by default.
     controlled : sequence of int, optional

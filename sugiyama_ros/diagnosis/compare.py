@@ -13,7 +13,6 @@ from sugiyama_ros.diagnosis.check import collective_of
 from sugiyama_ros.diagnosis.forecast import Forecasts, forecasts
 from sugiyama_ros.diagnosis.refine import with_named, without_folds
 from sugiyama_ros.diagnosis.table import Difference, gains
-from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.filters.extract import motion_of
 from sugiyama_ros.fit.given import Given, check_given, fit_people, prepare_for
 from sugiyama_ros.fit.joint import JointFit, fit
@@ -23,7 +22,7 @@ from sugiyama_ros.fit.model_file import ModelFile
 from sugiyama_ros.fit.preparation import prepare
 from sugiyama_ros.fit.recording import FOLDS, Recorded, Vicinity
 from sugiyama_ros.fit.simulated import resample, seeds
-from sugiyama_ros.laws.registry import LAWS, PAPERS, RIVALS, name_of
+from sugiyama_ros.laws.registry import LAWS, RIVALS
 from sugiyama_ros.progress import OnStage
 from sugiyama_ros.results import Result, bars, needs, plain
 from sugiyama_ros.simulation.collective import Collective, collective, wave_speed_error
@@ -240,18 +239,9 @@ def _of_file(
     if model.is_of(data.vicinity.sha256):
         rows = model.rows_of(np.array(data.vicinity.numbers))
         as_it_is = Model(rows, (), (), (), rows)
-        name = _name_of_file(model)
-        return [_held_out(name, "in_sample", data, [as_it_is] * FOLDS, as_it_is, seed, work)], None
+        return [_held_out(model.name(), "in_sample", data, [as_it_is] * FOLDS, as_it_is, seed, work)], None
     fitted, given = fit_people(data, base, model, work)
-    name = _name_of_file(model, given.left_out)
-    return [_fitted(name, "given", data, fitted, seed, work)], given
-
-
-def _name_of_file(model: ModelFile, left_out: Sequence[str] = ()) -> str:
-    """Name of the model of a file: its law, if that is not the base model's, and the effects that are not left out."""
-    law = name_of(float(model.typical[ROW.law]))
-    parts = [*([law] if law != PAPERS else []), *(effect for effect in model.effects if effect not in left_out)]
-    return f"file: {', '.join(parts) or 'base'}"
+    return [_fitted(model.name(given.left_out), "given", data, fitted, seed, work)], given
 
 
 def _law(law: str, data: Recorded, seed: int, work: ThreadPoolExecutor) -> list[Compared]:

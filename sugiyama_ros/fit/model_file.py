@@ -94,6 +94,12 @@ class ModelFile:
         have_starts = all(effect(name).is_searched for name in self.effects)
         return self.effects if have_starts and (self.rows[:, ROW.law] == number_of(PAPERS)).all() else ()
 
+    def name(self, left_out: Sequence[str] = ()) -> str:
+        """Return the name of the model in a comparison: its law, if it is not the paper's, and the effects in use."""
+        law = name_of(float(self.typical[ROW.law]))
+        parts = [*([law] if law != PAPERS else []), *(effect for effect in self.effects if effect not in left_out)]
+        return f"file: {', '.join(parts) or 'base'}"
+
     def is_of(self, sha256: str) -> bool | None:
         """Whether the drivers are those of a recording with this checksum; None if one of the two does not say it."""
         return sha256 == self.sha256 if sha256 and self.sha256 else None
