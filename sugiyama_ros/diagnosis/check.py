@@ -108,12 +108,10 @@ def _innovations(
         wider = max(1.0, float(np.mean([s / max(n, 1) for s, n in usual])))
         yield Check(f"bias_over_{covariate}", squares / max(bins, 1), wider, "1", float(chi2.sf(squares / wider, bins)))
     for name, of in (("spread_of_innovations", _spread), ("correlation_of_innovations", _correlation)):
-        value, error = of(final.fit.samples.innovation_m, final.fit.samples.innovation_var, data)
-        if not math.isfinite(value):
-            continue
-        own = [of(fitted.samples.innovation_m, fitted.samples.innovation_var, one)[0] for one, fitted in simulated]
-        expected = float(np.mean(own))
-        yield Check(name, value, expected, "1", _two_sided(value - expected, error, data.drivers))
+        measured = of(final.fit.samples.innovation_m, final.fit.samples.innovation_var, data)
+        if math.isfinite(measured[0]):
+            own = [of(fitted.samples.innovation_m, fitted.samples.innovation_var, one) for one, fitted in simulated]
+            yield as_simulated(name, measured, own, data.drivers)
 
 
 def _squares(located: Located, covariate: str) -> tuple[float, int]:
@@ -140,6 +138,13 @@ def _correlation(y: Array, variance: Array, data: Recorded) -> tuple[float, floa
     return _by_driver(normal[:, 1:] * normal[:, :-1])
 
 
+def as_simulated(name: str, here: tuple[float, float], there: Sequence[tuple[float, float]], drivers: int) -> Check:
+    """Compare a mean over drivers, and its standard error, with those of simulated recordings."""
+    (value, error), expected = here, float(np.mean([mean for mean, _ in there]))
+    error = math.hypot(error, math.sqrt(sum(e * e for _, e in there)) / len(there))
+    return Check(name, value, expected, "1", _two_sided(value - expected, error, drivers))
+
+
 def _two_sided(difference: float, error: float, count: int) -> float:
     """Probability of a difference with this standard error, which is known from so many drivers."""
     return float(2.0 * student.sf(abs(difference) / max(error, 1e-12), max(count - 1, 1)))
@@ -151,12 +156,9 @@ def _calibration(data: Recorded, ours: Forecasts, simulated: Sequence[Forecasts]
         for name in ("single", "road"):
             runs = getattr(ours, name)
             if runs is not None:
-                value, error = _by_driver(np.square(runs.normal[:, h]).T)
                 own = [_by_driver(np.square(getattr(one, name).normal[:, h]).T) for one in simulated]
-                expected = float(np.mean([mean for mean, _ in own]))
-                error = math.hypot(error, math.sqrt(sum(e * e for _, e in own)) / len(own))
-                p = _two_sided(value - expected, error, data.drivers)
-                yield Check(f"spread_of_{name}_runs_{horizon_s:g}s", value, expected, "1", p)
+                here = _by_driver(np.square(runs.normal[:, h]).T)
+                yield as_simulated(f"spread_of_{name}_runs_{horizon_s:g}s", here, own, data.drivers)
 
 
 def _collective(
