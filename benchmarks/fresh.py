@@ -56,7 +56,7 @@ def _held_out(data: Recorded, fit: JointFit, work: Executor) -> Forecasts:
 def _on(tracks: Tracks, path: Path, work: Executor) -> tuple[Forecasts, Forecasts, Recorded]:
     """Forecasts of a recording by the base model and by a model file."""
     file = read_model(path)
-    data, base = base_model(prepare_for(tracks, file), work)
+    data, base = base_model(prepare_for(tracks, file) or prepare(tracks), work)
     fitted, _ = fit_people(data, base, file, work)
     return _held_out(data, base, work), _held_out(data, fitted, work), data
 

@@ -165,7 +165,7 @@ def simulate(
     controller: str | None = None,
     **settings: Any,
 ) -> Simulation:
-    """Simulate drivers from rest on a ring or an open road.
+    """Simulate drivers from rest on a ring or an open road; vehicle 0 starts at 0 m, behind all others.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ def simulate(
     effects : mapping of str to mapping, optional
         Effects on all drivers with their values, such as ``{"drag": {"c0": 0.3}}``.
     model : str or Path, optional
-        Model file with parameters and effects of each driver, the road, lengths, and how often drivers decide.
+        Model file with the drivers, in the order in which they become vehicles, the road, and how often they decide.
     law : str
         Name of the law by which all drivers drive, such as ``"idm"``, with its usual values; the paper's by default.
     controlled : sequence of int, optional

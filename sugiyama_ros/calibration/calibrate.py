@@ -54,9 +54,9 @@ def calibrate_drivers(
     road = one_road(tracks, where) if settings.formulation == "paper" else road_of_drivers(tracks)
     with workers(tracks.runs, scheduler) as work:
         if settings.classes or settings.goals:
-            return _named(_in_classes(tracks, road, settings, work, on_progress), tracks)
+            return _in_classes(tracks, road, settings, work, on_progress)
         if settings.is_pooled(on_tracks=road is None):
-            return _named(_pooled(tracks, road, settings, work), tracks)
+            return _pooled(tracks, road, settings, work)
         if road is None:
             # Imported here: drivers on one road do not need what follows tracks, which loads slowly.
             from sugiyama_ros.calibration.on_tracks import calibrate_tracks
@@ -64,18 +64,7 @@ def calibrate_drivers(
             return calibrate_tracks(tracks, settings, work, on_progress)
         estimated = settings.estimated or evenness(road).estimated(settings.formulation)
         settings = replace(settings, estimated=estimated)
-        return _named(each_driver(road, settings, tracks.about, work=work, on_progress=on_progress), tracks)
-
-
-def _named(found: Calibration, tracks: Tracks) -> Calibration:
-    """Return a calibration whose drivers have the names of the vehicles, where these are no numbers."""
-    names = [tracks.vehicle.at(int(row)) for row in tracks.start[:-1]]
-    of_number = {number: name for number, name in zip(numbers_of(tracks).tolist(), names, strict=True)}
-    drivers = (
-        d if of_number.get(d.number, "").isdecimal() else replace(d, vehicle=of_number.get(d.number, d.vehicle))
-        for d in found.drivers
-    )
-    return replace(found, drivers=tuple(drivers))
+        return each_driver(road, settings, tracks.about, work=work, on_progress=on_progress)
 
 
 def each_driver(
@@ -210,7 +199,8 @@ def _pooled(tracks: Tracks, road: DenseTracks | None, settings: Settings, work: 
 
 
 def _drivers(road: DenseTracks) -> tuple[CalibratedDriver, ...]:
-    return tuple(CalibratedDriver(v, v) for v in road.vehicle.tolist() if v not in road.controlled)
+    known = zip(road.vehicle.tolist(), road.names or road.vehicle.tolist(), strict=True)
+    return tuple(CalibratedDriver(name, number) for number, name in known if number not in road.controlled)
 
 
 def _followers(data: "Recorded", samples: "PointwiseDensity") -> tuple[CalibratedDriver, ...]:

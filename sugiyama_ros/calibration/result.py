@@ -136,9 +136,9 @@ def number_of_classes(given: object, option: Callable[[str], str] = str) -> int 
 class CalibratedDriver:
     """Who drives, and what tracks say of the driver; texts are empty, and numbers NaN or 0, where they do not.
 
-    vehicle: number of the vehicle, or its name on tracks; number: number of the vehicle in model files; leader_class:
-    class of the vehicle ahead most of the time; stretches, following_s: stretches and time [s] that count; nis: mean of
-    the squared normalised innovations, which is 1 for a filter that knows its own errors.
+    vehicle: number of the vehicle, or its name where that is no number; number: number of the vehicle in model files;
+    leader_class: class of the vehicle ahead most of the time; stretches, following_s: stretches and time [s] that
+    count; nis: mean of the squared normalised innovations, which is 1 for a filter that knows its own errors.
     """
 
     vehicle: int | str
@@ -238,6 +238,7 @@ class Calibration(Result):
 
         origin = [d.number for d in self.drivers], self.about.source, self.about.sha256
         found = FittedDrivers(*origin, self.rows, self.std, self.shared_std or {}, float(self.log_likelihood.sum()))
+        found = found._replace(names=[d.shown for d in self.drivers])
         types = None if self.classes is None else DriverTypes(self.classes.share, self.classes.rows[:, :COUNT])
         write_drivers(target, found, types, self.population, self._goals())
 

@@ -32,7 +32,7 @@ def mean_nis(calibration: Calibration) -> Array:
         largest = float(np.nanmax(np.abs(predicted.innovation), initial=0.0))
         if np.isnan(calibration.log_likelihood[i]) or largest > _LARGEST_ERROR_M:
             raise InputError(
-                f"{t.source}: vehicle {t.vehicle[i]}: the filter has lost it (one-step error beyond 1 km); check its"
+                f"{t.source}: vehicle {t.name[i]}: the filter has lost it (one-step error beyond 1 km); check its"
                 " positions, and give --ring METRES if the road is a ring"
             )
         found.append(float(np.mean(np.square(y) / variance)) if len(y) else float("nan"))

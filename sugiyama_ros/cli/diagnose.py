@@ -91,6 +91,7 @@ def diagnose(options: _DiagnoseOptions) -> None:
     law(options.law)
     recording = read_tracks(options.sources, Choices(ring_m=options.ring))
     print_warnings(recording)
+    print_note(f"diagnosing {recording.headline()}")
     most = None if options.add else FEW_STEPS
     settings = {"add": add, "most": most, "law": options.law, "seed": options.seed, "simulations": options.simulations}
     with stages() as advance, helpers(options.scheduler) as workers:
@@ -173,8 +174,8 @@ def _print_next(found: Mapping[str, Any], options: _DiagnoseOptions) -> None:
 
     bag, effects = _bag_for(sources[0]), found["verdict"]["effects"]
     if model is not None:
-        compared = command_line("compare", _CompareOptions, sources=sources, model=model, ring=ring, seed=options.seed)
-        print_line(f"model file: {model} (compare it: {compared})")
+        other = command_line("compare", _CompareOptions, sources=["OTHER"], model=model, ring=ring, seed=options.seed)
+        print_line(f"model file: {model}; whether it holds for another recording: {other}")
         if options.save is None and len(sources) == 1:
             print_line(f"use it: {run()}")
     if options.add is None and len({one["step"] for one in effects}) == FEW_STEPS:
@@ -222,6 +223,7 @@ def compare(options: _CompareOptions) -> None:
     given = read_model(options.model) if options.model is not None else None
     recording = read_tracks(options.sources, Choices(ring_m=options.ring))
     print_warnings(recording)
+    print_note(f"comparing models on {recording.headline()}")
     with stages() as advance, helpers(options.scheduler) as workers:
         compared = compare_models(
             recording, names(options.effects), given, seed=options.seed, workers=workers, on_progress=advance

@@ -40,7 +40,7 @@ from sugiyama_ros.progress import stage
 from sugiyama_ros.results import TextTable
 
 if TYPE_CHECKING:
-    from sugiyama_ros.nodes.plan import FromSimulator
+    from sugiyama_ros.nodes.plan import FromSimulator, UseOfModel
     from sugiyama_ros.nodes.run import RunResult
 
 #: Exit code of a program that Ctrl-C has ended.
@@ -106,7 +106,7 @@ def run(options: RunOptions) -> None:
     except KeyboardInterrupt:
         print_note("interrupted before the first sample; nothing was recorded")
         raise
-    _print_run(result, options.as_json)
+    _print_run(result, options)
 
 
 def replay(options: RunOptions) -> "RunResult":
@@ -173,17 +173,18 @@ def _source(options: RunOptions) -> "Path | FromSimulator":
     return FromSimulator(vehicles, experiment, changes=changes, effects=tuple(options.effect or ()))
 
 
-def _print_run(result: "RunResult", as_json: bool) -> None:
+def _print_run(result: "RunResult", options: RunOptions) -> None:
     """Print what the estimators know at the end of a run."""
     from sugiyama_ros.effects.registry import ROW
     from sugiyama_ros.page.truth import against_truth
+    from sugiyama_ros.page.words import start_of_drivers
 
     try:
         against = against_truth(result.output)
     except InputError as error:  # another program has sent junk, which is in the recording too
         against = None
         print_note(f"no comparison with the truth: {error}")
-    if as_json:
+    if options.as_json:
         truth = {} if against is None else {"truth": dataclasses.asdict(against)}
         print_json({**dataclasses.asdict(result), **truth})
         _end(result)
@@ -203,6 +204,8 @@ def _print_run(result: "RunResult", as_json: bool) -> None:
     print_table(TextTable("What the estimators know at the end", headings, (*rows, *_mean(result, len(names)))))
     if against is not None:
         print_against(against)
+    if (use := result.use_of_model) is not None:
+        print_line(start_of_drivers(str(options.model), use.is_own, use.left_out))
     print_line(
         f"{result.steps} steps of {result.vehicles} vehicles at {result.real_time_factor:.0f} times real time;"
         f" {result.messages_recorded} messages recorded, {result.messages_lost} lost."
@@ -268,8 +271,11 @@ def live(options: _LiveOptions) -> None:
         from sugiyama_ros.nodes.live import serve
         from sugiyama_ros.nodes.plan import RunSettings
     from sugiyama_ros.laws.registry import law
+    from sugiyama_ros.page.words import start_of_drivers
 
-    def ready(url: str) -> None:
+    def ready(url: str, use: "UseOfModel | None") -> None:
+        if use is not None:
+            print_note(start_of_drivers(str(options.model), use.is_own, use.left_out))
         print_note(f"live page: {url} (Ctrl-C ends it)")
         if options.show:
             show_page(url)

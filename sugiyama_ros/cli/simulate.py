@@ -95,8 +95,9 @@ class _SimulateOptions:
 def simulate(options: _SimulateOptions) -> None:
     """Simulate drivers on a ring, an open road or a junction.
 
-    The file has the positions that a camera would measure. An MCAP file also has the truth about each vehicle. The
-    first vehicle starts at 0 m, behind all others.
+    The file has the positions that a camera would measure. An MCAP file also has the truth about each vehicle. Vehicle
+    0 starts at 0 m, behind all others. The drivers of a model file are the vehicles 0, 1 and so on in the order of the
+    file, whoever drove ahead of whom in its recording.
     """
     print_cautions(options.model)
     from sugiyama_ros.fit.model_file import drivers_of

@@ -224,8 +224,8 @@ def _held_out(
 
 def _base(recording: Tracks, model: ModelFile | None, work: ThreadPoolExecutor) -> tuple[Recorded, JointFit]:
     """The recording with the base model; drivers decide as often as those of a model file, if it says how often."""
-    if model is not None and model.conditions.decision_period_s is not None:
-        return base_model(prepare_for(recording, model), work)
+    if model is not None and (as_in_file := prepare_for(recording, model)) is not None:
+        return base_model(as_in_file, work)
     data, base = base_model(prepare(recording), work)
     return with_more_decisions(recording, data, base, work) or (data, base)
 
@@ -236,14 +236,12 @@ def _of_file(
     """A model from a file: as it is on the recording that it was fitted to, and with other people on another one."""
     if model is None:
         return [], None
-    name = f"file: {', '.join(model.effects) or 'base'}"
-    own = data.vicinity.sha256
-    if own and own == model.sha256:
+    if model.is_of(data.vicinity.sha256):
         rows = model.rows_of(np.array(data.vicinity.numbers))
         as_it_is = Model(rows, (), (), (), rows)
-        return [_held_out(name, "in_sample", data, [as_it_is] * FOLDS, as_it_is, seed, work)], None
+        return [_held_out(model.name(), "in_sample", data, [as_it_is] * FOLDS, as_it_is, seed, work)], None
     fitted, given = fit_people(data, base, model, work)
-    return [_fitted(name, "given", data, fitted, seed, work)], given
+    return [_fitted(model.name(given.left_out), "given", data, fitted, seed, work)], given
 
 
 def _law(law: str, data: Recorded, seed: int, work: ThreadPoolExecutor) -> list[Compared]:

@@ -150,6 +150,11 @@ def index_of(effect_name: str, parameter: str) -> int:
     return ROW.index_of(effect(effect_name).name, parameter)
 
 
+def strengths(effect_name: str) -> list[int]:
+    """Return the indices of an effect's strengths in a driver's row; the effect acts if one is not 0."""
+    return [ROW.index_of(effect_name, name) for name in EFFECTS[effect_name].switches]
+
+
 def active(rows: Array) -> tuple[str, ...]:
     """Find the effects that act on at least one driver.
 
@@ -157,9 +162,7 @@ def active(rows: Array) -> tuple[str, ...]:
     """
     if rows.shape[-1] < ROW.width:
         return ()
-    return tuple(
-        name for name, e in EFFECTS.items() if np.any(rows[..., [ROW.index_of(name, switch) for switch in e.switches]])
-    )
+    return tuple(name for name in EFFECTS if np.any(rows[..., strengths(name)]))
 
 
 def switch_on(rows: Array, name: str, values: Values) -> Array:

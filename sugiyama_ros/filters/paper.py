@@ -78,7 +78,7 @@ class Perceived:
 
 def perceive(trajectories: DenseTracks, driver: int) -> Perceived:
     """Return what a driver perceives. Raises InputError."""
-    where = f"{trajectories.source or 'trajectories'}: vehicle {trajectories.vehicle[driver]}"
+    where = f"{trajectories.source or 'trajectories'}: vehicle {trajectories.name[driver]}"
     leaders = np.unique(trajectories.leader[:, driver])
     if len(leaders) > 1:
         raise InputError(f"{where}: its leader changes; the paper's formulation cannot follow that, the causal one can")

@@ -5,16 +5,12 @@ people are draws of a population, and their own parameters are fitted to the rec
 What the file says of a moment of its own recording holds nowhere else.
 """
 
-from collections.abc import Sequence
 from concurrent.futures import Executor
 from typing import NamedTuple
 
 import numpy as np
 
-from sugiyama_ros.arrays import Array
-from sugiyama_ros.effects.discovered_force import COVARIATES
-from sugiyama_ros.effects.discovered_force import EFFECT as FORCE_EFFECT
-from sugiyama_ros.effects.registry import EFFECTS, ROW
+from sugiyama_ros.effects.registry import ROW, strengths
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.joint import LARGEST_STD, JointFit, fit_base
 from sugiyama_ros.fit.model import Model
@@ -45,11 +41,16 @@ def check_given(file: ModelFile) -> None:
         raise InputError(f"model: its drivers drive by several laws, {', '.join(laws)}; give a file of one law")
 
 
-def prepare_for(recording: Tracks, file: ModelFile) -> Recorded:
-    """Prepare a recording for drivers who decide as often as those of a model file. Raises InputError."""
-    data = prepare(recording)
+def prepare_for(recording: Tracks, file: ModelFile) -> Recorded | None:
+    """Prepare a recording for drivers who decide as often as those of a model file; None if it does not say how often.
+
+    Raises InputError.
+    """
     period_s = file.conditions.decision_period_s
-    if period_s is None or data.every > data.decisions:
+    if period_s is None:
+        return None
+    data = prepare(recording)
+    if data.every > data.decisions:
         return data
     decisions = decisions_between(data.apart_s, period_s)
     return data if decisions == data.decisions else prepare(recording, decisions)
@@ -57,18 +58,17 @@ def prepare_for(recording: Tracks, file: ModelFile) -> Recorded:
 
 def fit_people(data: Recorded, base: JointFit, file: ModelFile, work: Executor) -> tuple[JointFit, Given]:
     """Fit a model from a file to the people of another recording, from the fit of the base model to it."""
-    left_out = tuple(name for name in file.effects if _is_of_a_moment(file, name))
-    names = file.conditions.individual
+    left_out, names = file.of_a_moment, file.conditions.individual
     places = [ROW.entries.index(name) for name in names] or list(base.model.individual)
-    places += [k for name in file.effects for k in _of_some(file, name) if k not in places]
+    row = file.other
+    for name in file.effects:
+        has, switches = file.has(name), strengths(name)
+        if name not in left_out and not has.all():
+            # whom of the others the effect acts on is not known, so it is sought in each of them
+            places += switches
+            row[switches] = np.median(file.rows[has][:, switches], axis=0)
     tied = [k for name in left_out for k in range(ROW.width)[ROW.places[name]]]
     own = tuple(k for k in dict.fromkeys((*data.even.individual(), *places)) if k not in tied)
-    row = file.typical
-    for name in file.effects:
-        # a driver without an effect says nothing of where and how it acts
-        has = np.abs(file.rows[:, _strengths(name)]).sum(axis=1) > 0.0
-        row[ROW.places[name]] = np.median(file.rows[has][:, ROW.places[name]], axis=0)
-    row[tied] = [ROW.declared[k].default for k in tied]
     rows = np.tile(row, (data.drivers, 1))
     if file.rows[0, ROW.law] == number_of(PAPERS):
         known = [k for k in own if k in base.model.individual]
@@ -76,21 +76,3 @@ def fit_people(data: Recorded, base: JointFit, file: ModelFile, work: Executor) 
     start = Model(rows, own, (), (LARGEST_STD,) * len(own), rows.copy())
     fitted = fit_base(data, own, work, start)
     return fitted, Given(tuple(ROW.entries[k] for k in own), left_out, file.conditions.decision_period_s)
-
-
-def _is_of_a_moment(file: ModelFile, effect: str) -> bool:
-    """Whether an effect is tied to a time of the file's own recording."""
-    if effect == FORCE_EFFECT.name:
-        return bool((file.rows[:, ROW.index_of(effect, "covariate")] == COVARIATES.index("time") + 1.0).any())
-    return any(p.axis == "time" for p in EFFECTS[effect].parameters)
-
-
-def _strengths(effect: str) -> list[int]:
-    """Places of an effect's strengths."""
-    return [ROW.index_of(effect, name) for name in EFFECTS[effect].switches]
-
-
-def _of_some(file: ModelFile, effect: str) -> Sequence[int]:
-    """Places of the strengths of an effect that only some of the file's drivers have."""
-    there: Array = np.abs(file.rows[:, _strengths(effect)]).sum(axis=1) > 0.0
-    return [] if there.all() else _strengths(effect)

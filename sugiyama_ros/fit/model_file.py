@@ -13,9 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.driver.parameters import COUNT, NAMES, check_for_filter, index, population
-from sugiyama_ros.effects.registry import EFFECTS, GROUP, ROW, active, effect, index_of, switch_on
+from sugiyama_ros.effects.discovered_force import COVARIATES
+from sugiyama_ros.effects.discovered_force import EFFECT as FORCE_EFFECT
+from sugiyama_ros.effects.registry import EFFECTS, GROUP, ROW, active, effect, index_of, strengths, switch_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.files import Target, number, read_yaml, writing
 from sugiyama_ros.fit.driver_types import DriverTypes, Population
@@ -33,7 +35,7 @@ _KEYS = (
     *("sugiyama_model", "version", "data", "road", "decision_period_s", "individual", "effects", "shared_std"),
     *("drivers", "cautions", "population", "goals", "classes"),
 )
-_OF_DRIVER = ("parameters", "std", "law", "effects", "length_m")
+_OF_DRIVER = ("name", "parameters", "std", "law", "effects", "length_m")
 # libyaml, if it is installed, is ten times faster
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
@@ -92,13 +94,37 @@ class ModelFile:
         have_starts = all(effect(name).is_searched for name in self.effects)
         return self.effects if have_starts and (self.rows[:, ROW.law] == number_of(PAPERS)).all() else ()
 
-    def rows_of(self, vehicles: Ints) -> Array:
-        """Return the rows (N, WIDTH) of some vehicles; of one that is not in the file, the population's median driver.
+    def name(self, left_out: Sequence[str] = ()) -> str:
+        """Return the name of the model in a comparison: its law, if it is not the paper's, and the effects in use."""
+        law = name_of(float(self.typical[ROW.law]))
+        parts = [*([law] if law != PAPERS else []), *(effect for effect in self.effects if effect not in left_out)]
+        return f"file: {', '.join(parts) or 'base'}"
 
-        If the file knows no population, this is the median of the file's drivers.
+    def is_of(self, sha256: str) -> bool | None:
+        """Whether the drivers are those of a recording with this checksum; None if one of the two does not say it."""
+        return sha256 == self.sha256 if sha256 and self.sha256 else None
+
+    def rows_of(self, vehicles: Ints, sha256: str = "") -> Array:
+        """Return the rows (N, WIDTH) of some vehicles of a recording with this checksum.
+
+        A vehicle that is not in the file has the typical driver. In another recording than the file's, equal numbers
+        are other people, of whom the file knows what it says of everybody.
         """
+        if self.is_of(sha256) is False:
+            return np.tile(self.other, (len(vehicles), 1))
         known = {int(v): k for k, v in enumerate(self.vehicle)}
         return np.array([self.rows[known[int(v)]] if int(v) in known else self.typical for v in vehicles])
+
+    def has(self, effect: str) -> Mask:
+        """Return which drivers (N,) an effect acts on."""
+        return np.asarray(self.rows[:, strengths(effect)].any(axis=1))
+
+    @property
+    def of_a_moment(self) -> tuple[str, ...]:
+        """The effects that are tied to a time of the file's own recording."""
+        covariate = self.rows[:, index_of(FORCE_EFFECT.name, "covariate")]
+        over_time = FORCE_EFFECT.name if (covariate == COVARIATES.index("time") + 1.0).any() else ""
+        return tuple(n for n in self.effects if n == over_time or any(p.axis == "time" for p in EFFECTS[n].parameters))
 
     def simulated(self, vehicles: int) -> Array:
         """Return the rows (N, WIDTH) of so many drivers: all of the file, or those with the numbers from 0 on."""
@@ -106,12 +132,27 @@ class ModelFile:
 
     @property
     def typical(self) -> Array:
-        """The row (WIDTH,) of the median driver, of those who drive by the most frequent law."""
+        """The row (WIDTH,) of the median driver, of those who drive by the most frequent law.
+
+        Where the file knows their population, it is the population's median. Drivers without an effect say nothing of
+        where and how it acts.
+        """
         laws, drivers = np.unique(self.rows[:, ROW.law], return_counts=True)
         typical: Array = np.median(self.rows[self.rows[:, ROW.law] == laws[drivers.argmax()]], axis=0)
         for name, (median, _) in (self.population.parameters if self.population is not None else {}).items():
             typical[index(name)] = median
+        for name in self.effects:
+            constants = [k for k in range(ROW.width)[ROW.places[name]] if k not in strengths(name)]
+            typical[constants] = np.median(self.rows[self.has(name)][:, constants], axis=0)
         return typical
+
+    @property
+    def other(self) -> Array:
+        """The row (WIDTH,) of a driver of another recording: the typical one, without effects of a moment."""
+        row = self.typical
+        for name in self.of_a_moment:
+            row[ROW.places[name]] = [p.default for p in EFFECTS[name].parameters]
+        return row
 
 
 def drivers_of(file: Path | None, law_name: str, option: Callable[[str], str] = str) -> ModelFile:
@@ -145,7 +186,7 @@ def write_model(target: Target, data: Recorded, fitted: JointFit, cautions: Sequ
     )
     origin = around.numbers, around.source, around.sha256
     drivers = FittedDrivers(*origin, model.rows, own, shared, fitted.log_likelihood, conditions)
-    write_drivers(target, drivers, cautions=cautions)
+    write_drivers(target, drivers._replace(names=[one.shown for one in around.names]), cautions=cautions)
 
 
 class FittedDrivers(NamedTuple):
@@ -153,7 +194,8 @@ class FittedDrivers(NamedTuple):
 
     numbers: numbers of the vehicles; source, sha256: name and checksum of the recording; rows: (N, WIDTH), row of each
     driver; own_std: standard deviations of each driver's parameters; shared_std: of the parameters that all share;
-    log_likelihood: log-likelihood of the fit [nats]; conditions: where and how the drivers drove.
+    log_likelihood: log-likelihood of the fit [nats]; conditions: where and how the drivers drove; names: names of the
+    vehicles in the recording; empty where their numbers are their names.
     """
 
     numbers: Sequence[int]
@@ -164,6 +206,7 @@ class FittedDrivers(NamedTuple):
     shared_std: Mapping[str, float]
     log_likelihood: float
     conditions: Conditions = _UNKNOWN
+    names: Sequence[str] = ()
 
 
 def write_drivers(
@@ -175,8 +218,11 @@ def write_drivers(
     cautions: Sequence[str] = (),
 ) -> None:
     """Write the parameters of drivers as a model file. Raises OutputError."""
-    numbers, source, sha256, rows, own_std, shared_std, log_likelihood, conditions = fitted
-    drivers = {v: _driver(row, std) for v, row, std in zip(numbers, rows, own_std, strict=True)}
+    numbers, source, sha256, rows, own_std, shared_std, log_likelihood, conditions, names = fitted
+    drivers = {
+        v: {**({} if name == str(v) else {"name": name}), **_driver(row, std)}
+        for v, name, row, std in zip(numbers, names or map(str, numbers), rows, own_std, strict=True)
+    }
     for about, length_m in zip(drivers.values(), conditions.length_m, strict=False):
         about["length_m"] = length_m
     document = {

@@ -7,6 +7,7 @@ vehicle, one after the other, behind the vehicles ahead as measured.
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import repeat
 from typing import TypeVar
 
 import numpy as np
@@ -133,7 +134,7 @@ def _blocks_of_road(trajectories: DenseTracks) -> Ints:
 def _vicinity_of_road(t: DenseTracks) -> Vicinity:
     samples, drivers = t.position_m.shape
     return Vicinity(
-        names=tuple(DriverName(number) for number in t.vehicle.tolist()),
+        names=tuple(map(DriverName, t.vehicle.tolist(), repeat(""), t.names or repeat(""))),
         position_m=t.position_m,
         length_m=np.tile(t.length_m, (samples, 1)),
         leader=t.leader,

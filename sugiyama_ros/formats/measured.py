@@ -18,7 +18,7 @@ from sugiyama_ros.formats.mcap_records import MAGIC
 from sugiyama_ros.formats.reading import checksum_of, shown_name
 from sugiyama_ros.trajectories.about import About, source_in
 from sugiyama_ros.trajectories.assemble import Column, assemble
-from sugiyama_ros.trajectories.dense import MAX_SAMPLES, DenseTracks
+from sugiyama_ros.trajectories.dense import LAST_VEHICLE, MAX_SAMPLES, DenseTracks
 from sugiyama_ros.trajectories.labels import Labels, labels, numbered
 from sugiyama_ros.trajectories.tracks import LINE, NOBODY, Tracks
 
@@ -30,8 +30,6 @@ ROAD_TYPE = "sugiyama_msgs/msg/Road"
 MEASURED_TYPE = "sugiyama_msgs/msg/MeasuredPositions"
 #: Type and name of the topic that says which vehicles a controller drives, by their numbers.
 CONTROLLED_TYPE, CONTROLLED = "std_msgs/msg/Int32MultiArray", "controlled"
-# Largest number of a vehicle, which ROS sends in 32 bits.
-_LAST_VEHICLE = 2**31 - 1
 # Lists that not every source of positions knows and that tracks keep. Older bags lack some of them.
 _MORE = ("lane", "d_m", *LINE, "leader_shift_m")
 _NONE = np.zeros(0)
@@ -207,8 +205,8 @@ class _Columns:
         if message.step - self._first[0] >= MAX_SAMPLES:
             raise InputError(f"{where}: more than {MAX_SAMPLES} steps; split the bag")
         vehicles = message.vehicle.tolist()
-        if not all(type(vehicle) is int and 0 <= vehicle <= _LAST_VEHICLE for vehicle in vehicles):
-            raise InputError(f"{where}: a vehicle's number is not within 0 to {_LAST_VEHICLE}; number the vehicles")
+        if not all(type(vehicle) is int and 0 <= vehicle <= LAST_VEHICLE for vehicle in vehicles):
+            raise InputError(f"{where}: a vehicle's number is not within 0 to {LAST_VEHICLE}; number the vehicles")
         more: dict[str, Array] = {name: given for name in _MORE if len(given := getattr(message, name, _NONE))}
         each = (message.position_m, message.length_m, message.leader, *more.values())
         if any(len(one) != len(vehicles) for one in each):

@@ -359,7 +359,7 @@ class DriversNode(LifecycleNodeMixin, PacedNode):
 
     def _row_of(self, vehicle: int) -> Array:
         """Row (WIDTH,) of a driver: what the model says, with the parameters that were given, and changed effects."""
-        row = self._model.rows_of(np.array([vehicle]))[0]
+        row = self._model.rows_of(np.array([vehicle]), "" if self._road is None else self._road.sha256)[0]
         given = driver_of(self)
         row[: len(NAMES)] = np.where(given == self._usual, row[: len(NAMES)], given)
         for effect, values in self._changes.items():

@@ -14,7 +14,7 @@ from tornado.web import ErrorHandler
 from sugiyama_ros.errors import SugiyamaError
 from sugiyama_ros.nodes.base import environment
 from sugiyama_ros.nodes.base.spin import Spinner, ros
-from sugiyama_ros.nodes.plan import Plan, RunSettings, plan_of
+from sugiyama_ros.nodes.plan import Plan, RunSettings, UseOfModel, plan_of
 from sugiyama_ros.nodes.replay import TrackSamples
 from sugiyama_ros.nodes.run import RunNodes
 from sugiyama_ros.nodes.view import View
@@ -40,9 +40,14 @@ def serve(
     *,
     host: str = _LOCAL,
     port: int = 5006,
-    on_ready: Callable[[str], None] = lambda url: None,
+    on_ready: Callable[[str, UseOfModel | None], None] = lambda url, use_of_model: None,
 ) -> None:
-    """Show the live page until a signal comes. Raises InputError, OutputError, SugiyamaError."""
+    """Show the live page until a signal comes.
+
+    on_ready: is called with the address of the page, and with how the drivers start from a model file.
+
+    Raises InputError, OutputError, SugiyamaError.
+    """
     if source is not None:
         environment.isolate()
     plan = _plan(source, output, settings) if source is not None else None
@@ -63,7 +68,7 @@ def serve(
         stack.callback(server.stop)
         turns.start()
         stack.callback(turns.stop)
-        on_ready(url)
+        on_ready(url, None if plan is None else plan.use_of_model)
         IOLoop.current().start()
         for failure in failures:
             raise failure

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 from sugiyama_ros.driver.parameters import NAMES, population
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.files import Output, make_directory
-from sugiyama_ros.fit.model_file import drivers_of
+from sugiyama_ros.fit.model_file import drivers_of, read_model
 from sugiyama_ros.formats.truth import namespace
 from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.nodes.base.node import RECORDER
@@ -98,6 +98,19 @@ class RunSettings:
     overwrite: bool = False
 
 
+@dataclass(frozen=True)
+class UseOfModel:
+    """How the drivers of a run start from a model file.
+
+    is_own: whether the file was fitted to the recording, so that they start from their own parameters; if not, they
+    start as the file's typical driver; None if that is not known: then their numbers say which driver of the file they
+    are; left_out: effects of the file that are tied to a moment of another recording.
+    """
+
+    is_own: bool | None
+    left_out: tuple[str, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class Plan:
     """Send the positions of ``source``, follow the drivers, and record everything in ``output``.
@@ -114,6 +127,15 @@ class Plan:
     def vehicles(self) -> list[int]:
         """Numbers of the vehicles that have drivers, in their order."""
         return sorted(set(self.source.vehicle) - set(self.source.controlled))
+
+    @property
+    def use_of_model(self) -> UseOfModel | None:
+        """How the drivers start from the model file, if there is one."""
+        if self.settings.model is None:
+            return None
+        file = read_model(self.settings.model)
+        is_own = file.is_of(self.source.sha256)
+        return UseOfModel(is_own, file.of_a_moment if is_own is False else ())
 
     @property
     def vehicles_with_topics(self) -> list[int]:

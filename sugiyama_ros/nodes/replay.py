@@ -1,6 +1,5 @@
 """Replay of recorded trajectories."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,20 +17,15 @@ from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER, PositionSamples
 from sugiyama_ros.nodes.source import Source, TrueTopics, answer
 from sugiyama_ros.road import RINGS_M, Road
-from sugiyama_ros.trajectories.dense import DenseTracks, whole_road
+from sugiyama_ros.trajectories.dense import DenseTracks, numbers_of, whole_road
 from sugiyama_ros.trajectories.placing import Positions
 from sugiyama_ros.trajectories.time_base import on_time_base, period_of
 from sugiyama_ros.trajectories.tracks import FREE, LINE, Tracks
 from sugiyama_ros.trajectories.truth import Truth
 
-# Largest number of a vehicle, which ROS sends in 32 bits.
-_LAST_VEHICLE = 2**31 - 1
-
 
 class RecordedPositions:
     """Recorded trajectories as samples; truth: what the drivers really did, where they were simulated."""
-
-    names: Mapping[int, str] = {}
 
     def __init__(self, trajectories: DenseTracks, truth: Truth | None = None) -> None:
         t, self.truth = trajectories, truth
@@ -39,6 +33,7 @@ class RecordedPositions:
         self.source, self.sha256 = t.source, t.sha256
         self.trajectories = t
         self.vehicle, self.controlled = t.vehicle.tolist(), t.controlled
+        self.names = dict(zip(self.vehicle, t.names, strict=False))
         self._leader = np.where(t.leader >= 0, t.vehicle[t.leader], -1)
         self.true_vehicles: list[int] = [] if truth is None else truth.vehicle.tolist()
 
@@ -57,9 +52,8 @@ class RecordedPositions:
 class TrackSamples:
     """Tracks as samples, on a regular time base. Several recordings follow one another.
 
-    A leader who is not known is sent as one who is not in view. vehicle: number of the vehicle of each run: its name if
-    all names are numbers and each comes once, else the number of the run; names: vehicle and recording of each number;
-    empty where the numbers are names.
+    A leader who is not known is sent as one who is not in view. vehicle: number of the vehicle of each run, as in a
+    model file; names: vehicle and recording of each number; empty where the numbers are names.
     """
 
     def __init__(self, tracks: Tracks) -> None:
@@ -68,7 +62,7 @@ class TrackSamples:
         self.source, self.sha256 = tracks.about.source, tracks.about.sha256
         step, self.start_s = _steps(tracks, self.period_s)
         self.steps = int(step.max(initial=-1)) + 1
-        self.vehicle, self.true_vehicles = _numbers(tracks), list[int]()
+        self.vehicle, self.true_vehicles = numbers_of(tracks).tolist(), list[int]()
         self.controlled = np.array(self.vehicle)[tracks.controlled_runs].tolist()
         given = {number: tracks.run_name(run) for run, number in enumerate(self.vehicle)}
         self.names = {} if all(str(number) == name for number, name in given.items()) else given
@@ -112,14 +106,6 @@ def _steps(tracks: Tracks, period_s: float) -> tuple[Ints, float]:
         step[here] = last + 1 + np.round((time - time.min()) / period_s).astype(np.int64)
         last = int(step[here].max())
     return step, start_s if np.isfinite(start_s) else 0.0
-
-
-def _numbers(tracks: Tracks) -> list[int]:
-    """Number of the vehicle of each run."""
-    names = [tracks.vehicle.at(int(row)) for row in tracks.start[:-1]]
-    if len(set(names)) == len(names) and all(n.isascii() and n.isdigit() and int(n) <= _LAST_VEHICLE for n in names):
-        return [int(name) for name in names]
-    return list(range(len(names)))
 
 
 def _lanes(tracks: Tracks) -> Ints:

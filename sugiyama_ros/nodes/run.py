@@ -19,7 +19,7 @@ from sugiyama_ros.nodes.base.qos import WINDOW
 from sugiyama_ros.nodes.base.spin import Spinner, ros
 from sugiyama_ros.nodes.critic import Critic
 from sugiyama_ros.nodes.drivers import DriversNode, Told
-from sugiyama_ros.nodes.plan import FromSimulator, Plan, RunSettings, plan_of
+from sugiyama_ros.nodes.plan import FromSimulator, Plan, RunSettings, UseOfModel, plan_of
 from sugiyama_ros.nodes.recorder import LOG, Recorder
 from sugiyama_ros.nodes.replay import Replay
 from sugiyama_ros.nodes.simulator import SimulatorNode
@@ -64,7 +64,8 @@ class RunResult:
     messages_lost: messages that the nodes have counted, messages in the finished file, and messages that the file
     lacks; wall_s: time [s] from the start of the nodes to the closed file; real_time_factor: duration of the recording,
     divided by the time from the first sample sent to the last sample taken [1]; output: the file; interrupted: whether
-    a signal has ended the run; drivers: parameters and errors of every driver.
+    a signal has ended the run; drivers: parameters and errors of every driver; use_of_model: how these started from a
+    model file, if there is one.
     """
 
     steps: int
@@ -77,6 +78,7 @@ class RunResult:
     output: Path
     interrupted: bool
     drivers: tuple[DriverResult, ...]
+    use_of_model: UseOfModel | None
 
 
 def run(
@@ -201,6 +203,7 @@ def _result(plan: Plan, nodes: RunNodes, wall_s: float, interrupted: bool) -> Ru
         output=plan.output,
         interrupted=interrupted,
         drivers=tuple(_driver(v, names.get(v, str(v)), told) for v, told in sorted(nodes.drivers.told.items())),
+        use_of_model=plan.use_of_model,
     )
 
 

@@ -254,7 +254,7 @@ def _additions(d: Document) -> str:
         return _text("Nothing was added.")
     alone = "not fitted" if d["verdict"].get("asked") else "nothing"
     rows = [
-        [addition(d, n), size_of(d, n), on_unseen(n), chance(n.get("p_value")), not_told_apart(d, n) or alone,
+        [addition(d, n), size_of(d, n), on_unseen(d, n), chance(n.get("p_value")), not_told_apart(d, n) or alone,
          worse_in_words(n) or "none"]
         for n in effects
     ]  # fmt: skip

@@ -9,8 +9,8 @@ from sugiyama_ros.results import TextTable
 
 # Rows that a comparison shows first.
 _ROWS = 6
-# Columns of gains, of one car, as headings and names.
-_GAINS = {"one step": "one_step", "2 s": "2s", "5 s": "5s", "10 s": "10s"}
+# Columns of gains, of one car, as headings and names; the gain over all is their sum.
+_GAINS = {"one step": "one_step", "1 s": "1s", "2 s": "2s", "5 s": "5s", "10 s": "10s"}
 _COLLECTIVE = {
     "mean speed [m/s]": "mean_speed",
     "least [m/s]": "least_speed",

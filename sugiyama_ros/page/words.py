@@ -71,7 +71,7 @@ def size_of(d: Document, n: Document) -> str:
     return "; ".join(parts) or "a value of each driver"
 
 
-def on_unseen(n: Document) -> str:
+def on_unseen(d: Document, n: Document) -> str:
     """What an addition gains on data that no fit has seen, and for whom."""
     gain, se = float(n["heldout_gain_nats"]), float(n["heldout_gain_se"])
     text = f"{nats(gain, se)} nats"
@@ -79,7 +79,8 @@ def on_unseen(n: Document) -> str:
         text += f" better ({gain / se:.1f} standard errors)"
     if gain <= CLEAR * se and (best := _clearest(n)):
         text += f", most clearly {best}"
-    return text + (f"; shown by {_vehicles([str(v) for v in n['vehicles']])} only" if n["vehicles"] else "")
+    shown_by = [_number(one) for one in d["drivers"] if one["vehicle"] in n["vehicles"]]
+    return text + (f"; shown by {_vehicles(shown_by)} only" if shown_by else "")
 
 
 def _clearest(n: Document) -> str:
@@ -97,11 +98,11 @@ def worse_in_words(n: Document) -> str:
     return "; ".join([*clear, *([f"within chance: {', '.join(others)}"] if others else [])])
 
 
-def _certainty(n: Document) -> str:
+def _certainty(d: Document, n: Document) -> str:
     """How certain an addition is: its gain on data that no fit has seen, and its p-value."""
     if n["is_supported"]:
-        return f"unseen data confirm it: {on_unseen(n)}; chance gains as much with {chance(n['p_value'])}"
-    return not_found(n) or f"{not_asked_for(n)}; on unseen data {on_unseen(n)}"
+        return f"unseen data confirm it: {on_unseen(d, n)}; chance gains as much with {chance(n['p_value'])}"
+    return not_found(n) or f"{not_asked_for(n)}; on unseen data {on_unseen(d, n)}"
 
 
 def not_asked_for(n: Document) -> str:
@@ -242,11 +243,11 @@ def how_sure(d: Document) -> str:
     if not effects:
         return f"{checks_hold(d)}; the model is biased in {biased(d, 'before')}."
     if d["verdict"].get("asked"):
-        told = _certainty(effects[0]) + "; other" if len(effects) == 1 else "Other"
+        told = _certainty(d, effects[0]) + "; other" if len(effects) == 1 else "Other"
         return f"{told} effects were not fitted, so nothing is known of what explains the data as well."
     if len(effects) == 1:
         others = not_told_apart(d, effects[0])
-        return _certainty(effects[0]) + (f"; cannot be told apart from {others}." if others else ".")
+        return _certainty(d, effects[0]) + (f"; cannot be told apart from {others}." if others else ".")
     certain = [n for n in effects if not n["indistinguishable"]]
     if len(certain) == len(effects):
         return "Each name can be told apart from everything else that was fitted."
@@ -390,7 +391,7 @@ def sentences(d: Document) -> list[str]:
 
 def _added(d: Document, n: Document, told: str) -> list[str]:
     """Lines about an addition; ``told``: what the first line says already."""
-    seen = f"On unseen data {on_unseen(n)}; {chance(n['p_value'])}{_step_in_words(n)}"
+    seen = f"On unseen data {on_unseen(d, n)}; {chance(n['p_value'])}{_step_in_words(n)}"
     lines = [f"{addition(d, n)}: {size_of(d, n)}. {seen}."]
     if d["verdict"].get("asked"):
         lines.append("The data ask for it." if n["is_supported"] else f"You asked for it; {not_asked_for(n)}.")
@@ -501,6 +502,16 @@ def use_of_file(c: Document, file: str) -> str | None:
     if period_s is not None and abs(period_s - c["decision_period_s"]) > 0.01 * period_s:
         text += f"; its drivers decide every {period_s:.2g} s, here every {c['decision_period_s']:.2g} s"
     return text
+
+
+def start_of_drivers(file: str, is_own: bool | None, left_out: Sequence[str]) -> str:
+    """How the drivers of a run start from a model file: by their own parameters, or as its typical driver."""
+    if is_own is None:
+        return f"{file}: each driver starts as the driver of this number in the file"
+    if is_own:
+        return f"{file} was fitted to this recording: each driver starts from their own parameters"
+    text = f"{file} was fitted to another recording: each driver starts as its typical driver, and is estimated here"
+    return text + (f"; left out, tied to a moment of its own recording: {listed([*left_out])}" if left_out else "")
 
 
 def _behind(one: Document) -> str:

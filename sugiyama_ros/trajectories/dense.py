@@ -32,7 +32,9 @@ _UNKNOWN_ROWS = 0.02
 _BEHIND, _ENOUGH_SAMPLES = 0.02, 50
 # Part of the time that vehicles of a whole road are there.
 _PRESENT = 0.9
-_NUMBER = re.compile(r"\d{1,9}")
+_NUMBER = re.compile(r"\d{1,10}")
+#: Largest number of a vehicle, which ROS sends in 32 bits.
+LAST_VEHICLE = 2**31 - 1
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -57,6 +59,8 @@ class DenseTracks:
         Name and checksum of the file that the positions come from; without a file, the checksum of the positions.
     controlled : tuple of int
         Numbers of the vehicles that a controller drives.
+    names : tuple of str
+        Names (N,) of the vehicles in their file; empty where their numbers are their names.
 
     Raises
     ------
@@ -73,6 +77,7 @@ class DenseTracks:
     source: str = ""
     sha256: str = ""
     controlled: tuple[int, ...] = ()
+    names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         samples, vehicles = self.position_m.shape
@@ -97,6 +102,11 @@ class DenseTracks:
         return (
             f"{vehicles} vehicles on {road}, {samples} samples of {self.period_s:.4g} s, from {self.source or 'memory'}"
         )
+
+    @property
+    def name(self) -> tuple[str, ...]:
+        """Names (N,) of the vehicles in their file."""
+        return self.names or tuple(map(str, self.vehicle.tolist()))
 
     @property
     def time_s(self) -> Array:
@@ -156,6 +166,7 @@ class DenseTracks:
             position_m=self.position_m[:, columns],
             length_m=self.length_m[columns],
             vehicle=self.vehicle[columns],
+            names=tuple(self.names[k] for k in columns.tolist()) if self.names else (),
         )
         part.__dict__["leader"] = place[self.leader[:, columns]]  # found among all vehicles
         return part
@@ -230,6 +241,7 @@ def dense(tracks: Tracks, where: str = "") -> DenseTracks:
     position[step, regular.run] = regular.s_m
     road = Road(regular.about.ring_m)
     number = numbers_of(regular)
+    names = tuple(regular.vehicle.at(row) for row in regular.start[:-1].tolist())
     found = DenseTracks(
         position_m=road.wrap(position),
         length_m=regular.length_m[regular.start[:-1]],
@@ -240,6 +252,7 @@ def dense(tracks: Tracks, where: str = "") -> DenseTracks:
         source=tracks.about.source,
         sha256=tracks.about.sha256,
         controlled=tuple(number[regular.controlled_runs].tolist()),
+        names=() if names == tuple(map(str, number.tolist())) else names,
     )
     if not _is_in_view(tracks):
         _check_leaders(regular, found, step, where)
@@ -324,12 +337,13 @@ def _check_apart(tracks: Tracks, step: Ints, period_s: float, where: str) -> Non
 
 
 def numbers_of(tracks: Tracks) -> Ints:
-    """A number for each run, (V,)."""
+    """A number for each run, (V,): the last one in its name where no two are alike, else the number of the run."""
     names = [tracks.vehicle.at(int(row)) for row in tracks.start[:-1]]
     found = [_NUMBER.findall(name) for name in names]
     numbers = [int(one[-1]) if one else -1 for one in found]
     named = [number for number in numbers if number >= 0]
-    if len(set(named)) < len(named):
+    last = max(named, default=-1) + len(names) - len(named)
+    if len(set(named)) < len(named) or last > LAST_VEHICLE:
         return np.arange(len(names))
     free = count(max(named, default=-1) + 1)
     return np.array([number if number >= 0 else next(free) for number in numbers], dtype=np.int64)
@@ -377,7 +391,7 @@ def _check_order(road: DenseTracks, where: str) -> None:
     if followed.any() and np.mean(headway[followed] < 0.0) > _BEHIND:
         step, column = (int(one[0]) for one in np.nonzero(headway < 0.0))
         raise InputError(
-            f"{where}: vehicle {road.vehicle[column]} drives through vehicle {road.vehicle[leader[step, column]]} at"
+            f"{where}: vehicle {road.name[column]} drives through vehicle {road.name[leader[step, column]]} at"
             f" {road.time_s[step]:g} s: the road is a ring (give --ring METRES), or other lanes or recordings share"
             " this lane (give the column lane or recording)"
         )

@@ -46,8 +46,8 @@ class Said:
 
     @property
     def steps(self) -> list[str]:
-        """Next steps that were printed."""
-        return [found.strip() for found in _STEP.findall(self.out + self.err)]
+        """Next steps that were printed and can be pasted; OTHER stands for a recording that only the user has."""
+        return [found.strip() for found in _STEP.findall(self.out + self.err) if " OTHER" not in found]
 
 
 def environment(folder: Path) -> dict[str, str]:

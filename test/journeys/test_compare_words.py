@@ -30,7 +30,10 @@ def rows(text):
 def test_a_comparison_says_who_is_best_and_shows_six_rows(run, folder):
     run("sugiyama simulate --vehicles 4 --ring 45 --duration 40 --seed 1 -o ring.csv")
     run("sugiyama simulate --vehicles 4 --ring 45 --duration 40 --seed 2 -o other.csv")
-    assert run("sugiyama diagnose ring.csv --ring 45 --simulations 1 --add drag -o model.yaml").code == 0
+    diagnosed = run("sugiyama diagnose ring.csv --ring 45 --simulations 1 --add drag -o model.yaml")
+    assert diagnosed.code == 0, diagnosed.err
+    assert diagnosed.err.startswith("diagnosing 4 vehicles in 1 recording")
+    (elsewhere,) = re.findall("(sugiyama compare OTHER .*)", diagnosed.out)
     said = run("sugiyama compare ring.csv --ring 45 --model model.yaml --seed 1")
     assert said.code == 0, said.err
     own = "file: drag was fitted to these samples, so it does not count here. "
@@ -55,11 +58,12 @@ def test_a_comparison_says_who_is_best_and_shows_six_rows(run, folder):
     assert len(set(rows(whole.out))) > 12
     assert "floor" not in whole.out  # a word of the report, where it is another model
     assert "The whole road: recorded and simulated" in whole.out
-    fresh = run("sugiyama compare other.csv --ring 45 --model model.yaml")
+    fresh = run(elsewhere.replace("OTHER", "other.csv"))
+    assert fresh.code == 0, fresh.err
+    assert fresh.err.startswith("comparing models on 4 vehicles in 1 recording")
     assert "in sample" not in fresh.out
     assert "model.yaml: what it says of the road and of all drivers is taken as it is; sigma_nu," in fresh.out
-    elsewhere = run("sugiyama compare other.csv --ring 45 --model model.yaml --json")
-    document = json.loads(elsewhere.out)
+    document = json.loads(run(elsewhere.replace("OTHER", "other.csv") + " --json").out)
     assert [one["name"] for one in document["models"] if one["kind"] == "given"] == ["file: drag"]
     assert document["headline"] == fresh.out.splitlines()[0]
     assert document["given"]["fitted"][-2:] == ["v_star", "kappa_v"]

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,9 +13,13 @@ import pytest
 from typer.testing import CliRunner
 
 from sugiyama_ros.cli.app import app
+from sugiyama_ros.driver.parameters import V_STAR, defaults
+from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.errors import InputError, OutputError, SugiyamaError
+from sugiyama_ros.fit.model_file import FittedDrivers, write_drivers
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.mcap_reader import Bag
+from sugiyama_ros.formats.reading import checksum_of
 from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.formats.truth import read_truth
 from sugiyama_ros.nodes import recorder, source
@@ -23,6 +28,7 @@ from sugiyama_ros.nodes.drivers import DriversNode
 from sugiyama_ros.nodes.follower import Follower
 from sugiyama_ros.nodes.plan import FromSimulator
 from sugiyama_ros.nodes.run import RunResult, run
+from sugiyama_ros.page.words import start_of_drivers
 from sugiyama_ros.simulation.experiment import Experiment
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
@@ -89,6 +95,36 @@ def test_compiling_does_not_count_as_time_that_a_node_is_not_heard_of(
     assert_nothing_lost(result, tmp_path / "out.mcap")
     assert passed[0] > main_job.START_S
     assert result.wall_s < passed[0]
+
+
+def test_a_file_says_of_other_people_only_what_it_says_of_everybody(ring_csv: Path, tmp_path: Path) -> None:
+    """Drivers of another recording with the same numbers start as the typical driver, and the command says so."""
+    rows = switch_on(ROW.with_effects(defaults(4)), "drag", {"c0": 0.1})
+    rows[:, V_STAR] = [8.0, 9.0, 13.0, 14.0]
+    rows = switch_on(rows, "preference_switch", {"time": 20.0, "v_star_change": 0.5, "kappa_v_change": 0.0})
+    others = tmp_path / "others.csv"
+    others.write_text(ring_csv.read_text() + "\n")
+    model = tmp_path / "model.yaml"
+    write_drivers(model, FittedDrivers(range(4), "", checksum_of(ring_csv), rows, [{}] * 4, {}, 0.0))
+
+    def start_of(source: Path) -> tuple[list[float], list[str], str]:
+        use = run(source, source.with_suffix(".mcap"), ring_m=100.0, model=model).use_of_model
+        assert use is not None
+        with Bag(source.with_suffix(".mcap")) as bag:
+            first = [next(bag.messages([f"/vehicle_0{v}/parameters"])).message for v in range(4)]
+        known = [dict(zip(one.name, one.value.tolist(), strict=True)) for one in first]
+        return [one["v_star"] for one in known], list(first[0].name), start_of_drivers("m.yaml", **asdict(use))
+
+    v_star, names, told = start_of(ring_csv)
+    assert v_star == pytest.approx([8.0, 9.0, 13.0, 14.0], rel=0.02)
+    assert "preference_switch.v_star_change" in names
+    assert told == "m.yaml was fitted to this recording: each driver starts from their own parameters"
+    v_star, names, told = start_of(others)
+    assert v_star == pytest.approx([11.0] * 4, rel=0.02)
+    assert "drag.c0" in names
+    assert "preference_switch.v_star_change" not in names
+    assert "was fitted to another recording: each driver starts as its typical driver" in told
+    assert told.endswith("left out, tied to a moment of its own recording: preference_switch")
 
 
 def test_a_run_continues_from_the_saved_state_of_another(ring_csv: Path, tmp_path: Path) -> None:

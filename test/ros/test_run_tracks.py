@@ -19,6 +19,7 @@ from sugiyama_ros.nodes.drivers import DriversNode
 from sugiyama_ros.nodes.plan import RunSettings
 from sugiyama_ros.nodes.replay import Replay, TrackSamples
 from sugiyama_ros.nodes.run import run
+from sugiyama_ros.trajectories.dense import numbers_of
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 
@@ -72,6 +73,12 @@ def test_vehicles_with_the_same_name_have_numbers_of_their_own(tracks_csv: Path)
     samples = TrackSamples(read_tracks(tracks_csv))
     assert samples.vehicle == [0, 1, 2, 3]
     assert samples.names[3] == "11 of recording b"
+
+
+def test_a_replay_numbers_vehicles_as_a_model_file_does(tracks_csv: Path) -> None:
+    tracks_csv.write_text(tracks_csv.read_text().replace("b,14", "b,car 2147483640"))
+    tracks = read_tracks(tracks_csv)
+    assert TrackSamples(tracks).vehicle == numbers_of(tracks).tolist() == [11, 12, 13, 2147483640]
 
 
 def test_a_critic_follows_who_is_in_view_and_whose_leader_is_known(tracks_csv: Path, tmp_path: Path) -> None:

@@ -5,13 +5,16 @@ import json
 import numpy as np
 import pytest
 import yaml
+from scipy.stats import t as student
 
+from sugiyama_ros.diagnosis.check import as_simulated
 from sugiyama_ros.diagnosis.diagnose import diagnose
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW, index_of, switch_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.laws.registry import number_of
+from sugiyama_ros.page import tables
 from sugiyama_ros.page.document import additions, document
 from sugiyama_ros.results import plain
 from sugiyama_ros.road import Road
@@ -55,6 +58,9 @@ def test_a_hidden_effect_is_added_and_makes_forecasts_better(hidden):
     assert one.heldout_gain_nats > one.heldout_gain_se
     assert {"one_step", "1s", "2s", "5s", "10s", "road_10s", "all"} <= set(one.gains)
     assert d.final.over(d.data, d.base)["all"].nats == pytest.approx(one.heldout_gain_nats)
+    # the table shows every column whose sum the gain is
+    summed = {name.replace("_", "") for name in one.gains if name != "all" and not name.startswith("road")}
+    assert {name.replace(" ", "") for name in tables.steps(plain(document(d))).headings[2:-3]} == summed
     assert d.outcome == ("not_explained" if any(check.failed for check in d.checks) else "explained")
 
 
@@ -157,3 +163,12 @@ def test_a_model_file_gives_the_model_back(hidden, tmp_path):
     rows[np.ix_(rows[:, patch[0]] == 0.0, patch)] = 0.0
     assert read.rows_of(run.dense.vehicle) == pytest.approx(rows)
     assert yaml.safe_load(path.read_text())["shared_std"]["slow_patch.reduction"] > 0.0
+
+
+def test_a_check_knows_how_well_simulations_say_what_to_expect():
+    """A fit makes the spread of its own innovations nearly 1; the error of the simulated spreads is what counts."""
+    check = as_simulated("spread_of_innovations", (0.996, 0.0004), [(1.001, 0.003), (1.003, 0.004)], 9)
+    error = np.sqrt(0.0004**2 + (0.003**2 + 0.004**2) / 4.0)
+    assert (check.value, check.expected) == (0.996, pytest.approx(1.002))
+    assert check.p_value == pytest.approx(2.0 * student.sf(0.006 / error, 8))
+    assert check.p_value > 0.01

@@ -107,6 +107,23 @@ def test_a_moment_of_one_recording_is_left_out_of_another(name, strength, base, 
     assert not again.model.rows[:, index_of(effect, strength)].any()
 
 
+def test_a_comparison_names_only_the_effects_that_the_model_has_for_other_people(base, work, tmp_path):
+    data, fit = base
+    file = written(tmp_path, data, with_named(data, fit, ["preference_switch", "slow_patch"], work))
+    compared = compare(sg.simulate(3, ring_m=33.0, duration_s=40.0, seed=2).measured, model=file)
+    assert [one.name for one in compared.models if one.kind == "given"] == ["file: slow_patch"]
+    assert compared.given is not None
+    assert compared.given.left_out == ("preference_switch",)
+
+
+def test_a_comparison_names_the_law_of_a_file(tmp_path):
+    rows = switch_on(np.array([drive_by(ROW.with_effects(defaults()), "idm")] * 3), "drag", {"c0": 0.1})
+    write_drivers(tmp_path / "idm.yaml", FittedDrivers(range(3), "", "", rows, [{}] * 3, {}, 0.0))
+    recorded = sg.simulate(3, ring_m=33.0, duration_s=40.0, seed=2).measured
+    compared = compare(recorded, model=read_model(tmp_path / "idm.yaml"))
+    assert [one.name for one in compared.models if one.kind == "given"] == ["file: idm, drag"]
+
+
 def test_an_effect_of_some_drivers_is_sought_in_each_of_other_people(base, work, tmp_path):
     data, fit = base
     rows = switch_on(fit.model.rows, "slow_patch", PATCH)
@@ -117,6 +134,18 @@ def test_an_effect_of_some_drivers_is_sought_in_each_of_other_people(base, work,
     assert np.allclose(again.model.rows[:, index_of("slow_patch", "centre")], 20.0)
     # all drivers of the recording have it
     assert np.median(again.model.rows[:, index_of("slow_patch", "reduction")]) == pytest.approx(0.25, abs=0.1)
+
+
+def test_the_typical_driver_has_an_effect_where_those_who_have_it_say_it_acts(base, tmp_path):
+    data, fit = base
+    rows = switch_on(fit.model.rows, "slow_patch", PATCH)
+    rows[3:, ROW.places["slow_patch"]] = 0.0  # these drivers have none, and so no place
+    file = written(tmp_path, data, replace(fit, model=replace(fit.model, rows=rows)))
+    assert file.typical[index_of("slow_patch", "centre")] == 20.0
+    assert file.typical[index_of("slow_patch", "reduction")] == 0.0
+    assert np.array_equal(file.rows_of(file.vehicle, data.vicinity.sha256), file.rows)
+    assert np.array_equal(file.rows_of(file.vehicle), file.rows)
+    assert np.array_equal(file.rows_of(file.vehicle, "of others"), np.tile(file.typical, (CARS, 1)))
 
 
 def test_a_file_keeps_how_often_drivers_decide(work, tmp_path):
@@ -138,6 +167,7 @@ def test_simulated_drivers_of_a_file_drive_as_they_did(base, work, tmp_path):
     dense = sg.simulate(model=tmp_path / "model.yaml", duration_s=5.0).dense
     assert (dense.position_m.shape, dense.road) == ((16, CARS), Road(RING_M))
     assert np.allclose(dense.length_m, LENGTH_M)
+    assert dense.position_m[0].argmin() == 0  # the first driver of the file is behind all others
     fewer = sg.simulate(3, model=tmp_path / "model.yaml", ring_m=60.0, period_s=0.5, duration_s=5.0).dense
     assert (fewer.position_m.shape, fewer.road) == ((11, 3), Road(60.0))
 

@@ -152,5 +152,7 @@ def test_checks_fail_at_one_false_discovery_rate() -> None:
 
 
 def test_a_small_difference_does_not_fail_however_improbable_it_is() -> None:
-    found = judged([Check("wave_speed", 5.1, 5.0, "m/s", 1e-9, margin=0.2), Check("period_s", 9.0, 5.0, "s", 1e-9, 3.0)])
+    found = judged(
+        [Check("wave_speed", 5.1, 5.0, "m/s", 1e-9, margin=0.2), Check("period_s", 9.0, 5.0, "s", 1e-9, 3.0)]
+    )
     assert [one.failed for one in found] == [False, True]
