@@ -41,7 +41,8 @@ from sugiyama_ros.page.recording import Recording
 from sugiyama_ros.progress import stages
 from sugiyama_ros.results import plain
 from sugiyama_ros.roads.network import Network
-from sugiyama_ros.simulation.experiment import Experiment, carry_out, changed
+from sugiyama_ros.simulation.experiment import Experiment, carry_out, changed, set_up
+from sugiyama_ros.simulation.idle import check_acts, check_somebody_drives
 from sugiyama_ros.simulation.multilane import simulate_lane_changes as simulate_lane_changes
 from sugiyama_ros.simulation.result import Simulation
 from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M
@@ -212,8 +213,11 @@ def simulate(
     experiment = Experiment(**{**(file.conditions.of_experiment(count) if file is not None else {}), **settings})
     experiment.check(count)
     rows = _usual_drivers(count, law) if file is None else file.simulated(count)
-    rows = changed(rows, parameters or {}, effects or {}, experiment.road)
-    return carry_out(experiment, rows, controlled_by(controlled, controller))
+    by_controller = controlled_by(controlled, controller)
+    check_somebody_drives(count, () if by_controller is None else by_controller.vehicles, law, experiment.spread)
+    asked = rows, parameters or {}, effects or {}, experiment.road
+    check_acts(lambda drivers: [set_up(experiment, drivers, by_controller)], experiment.samples - 1, *asked)
+    return carry_out(experiment, changed(*asked), by_controller)
 
 
 def _usual_drivers(vehicles: int, law: str) -> Array:
