@@ -79,6 +79,8 @@ class Settings:
             raise InputError(f"{option('formulation')}: {self.formulation!r} is not known; give paper or causal")
         if self.seed < 0:
             raise InputError(f"{option('seed')}: {self.seed} is not possible; give 0 or more")
+        if self.seed and not (self.classes or self.goals):
+            raise InputError(f"{option('seed')}: only classes and goals are searched at random; leave it out")
         number_of_classes(self.classes, option)
         law(self.law)
         for name, is_given in (
@@ -128,7 +130,10 @@ def number_of_classes(given: object, option: Callable[[str], str] = str) -> int 
         count = -1
     if not 0 <= count <= MOST_CLASSES:
         name = option("classes")
-        raise InputError(f"{name}: {given} is not possible; give 0 to {MOST_CLASSES}, {AUTO} or {VEHICLE}")
+        raise InputError(
+            f"{name}: {given} is not possible; give a number of classes, {MOST_CLASSES} and as many as there are"
+            f" drivers at most, {AUTO}, {VEHICLE}, or 0 for none"
+        )
     return count
 
 

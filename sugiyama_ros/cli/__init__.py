@@ -5,14 +5,13 @@ line and exit code 2, Ctrl-C with exit code 130. This file imports nothing that 
 commands are loaded ends the program in good order too.
 """
 
-import errno
 import os
 import signal
 import sys
 from contextlib import suppress
 
 from sugiyama_ros import interrupts
-from sugiyama_ros.errors import SugiyamaError, nowhere_to_compile
+from sugiyama_ros.errors import SugiyamaError, cure_of_place, nowhere_to_compile
 
 _FAILED, _REFUSED, _INTERRUPTED = 1, 2, 130
 
@@ -70,8 +69,7 @@ def _cause_outside(error: Exception) -> str | None:
     """What the user reads where the system refused something; None for an error of the program itself."""
     if isinstance(error, OSError) and error.errno is not None:
         where = error.filename if error.filename is not None else "the output"
-        cure = "check the name" if error.errno == errno.ENOENT else "free some space, or choose another place"
-        return f"{where}: {error.strerror or error}; {cure}"
+        return f"{where}: {error.strerror or error}; {cure_of_place(error)}"
     if (reason := nowhere_to_compile(error)) is not None:
         return reason
     if isinstance(error, ZeroDivisionError) and (names := _effects_of_others()):

@@ -72,7 +72,7 @@ class _SimulateOptions:
     duration: Annotated[float, typer.Option(min=1.0, help="Duration of the simulation [s].")] = 250.0
     period: Annotated[
         float | None,
-        typer.Option(min=0.01, max=2.0, help="Time between two samples [s]. By default the model file's, or 1/3."),
+        typer.Option(min=0.05, max=2.0, help="Time between two samples [s]. By default the model file's, or 1/3."),
     ] = None
     spread: Annotated[
         float,
@@ -290,5 +290,6 @@ def _rows(
         check_parameter(name, rows, f"--set {name}")
     effects = read_effects(options.effect or (), "--effect")
     check_somebody_drives(vehicles, () if controlled is None else controlled.vehicles, options.law, options.spread)
-    check_acts(partial(_begin, options, experiment, controlled), experiment.samples - 1, rows, values, effects, road)
-    return changed(rows, values, effects, road)
+    asked = rows, values, effects, road
+    check_acts(partial(_begin, options, experiment, controlled), experiment.samples - 1, asked)
+    return changed(*asked)

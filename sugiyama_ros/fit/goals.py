@@ -5,7 +5,8 @@ A goal that is not reached cannot be seen. So a goal is another driver: the same
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +21,8 @@ THROUGH = "through"
 _EFFECT = "goal_ahead"
 # Comfortable deceleration [m/s^2] of the intelligent driver model, Treiber and Kesting, Traffic Flow Dynamics (2013).
 _COMFORTABLE = 1.5
+# Parameters of a goal. Who brakes less than this [m/s^2] brakes for nothing.
+_PARAMETERS = tuple(replace(p, lower=0.01) if p.name == "deceleration" else p for p in effect(_EFFECT).parameters)
 
 
 @dataclass(frozen=True)
@@ -49,17 +52,16 @@ class Goal:
     def __post_init__(self) -> None:
         if not self.name.isidentifier() or self.name == THROUGH:
             raise InputError(f"goal {self.name!r}: is no name; use letters, digits and underscores, not {THROUGH}")
-        if not self.deceleration > 0.0:
-            raise InputError(f"goal {self.name}: deceleration {self.deceleration:g}: give a number above 0")
-        _ = self.row  # checks the bounds
+        for p in _PARAMETERS:
+            _check_within(f"goal {self.name}:", p.name, getattr(self, p.name))
 
     def check_within(self, first_m: float, last_m: float, speed: float) -> None:
         """Raise InputError if nobody who is seen between two positions [m] slows down for it from a speed [m/s]."""
-        begins_m = self.place - max(speed**2 - self.speed**2, 0.0) / (2.0 * self.deceleration)
-        if not (first_m < self.place and begins_m < last_m):
+        brakes_m = max(speed**2 - self.speed**2, 0.0) / (2.0 * self.deceleration)
+        if not first_m < self.place < last_m + brakes_m:
             raise InputError(
                 f"goal {self.name}: place {self.place:g} m is out of reach: vehicles are seen from {first_m:.0f} to"
-                f" {last_m:.0f} m; give a place ahead of them"
+                f" {last_m:.0f} m; give a place from {first_m + 0.1:.1f} to {last_m + brakes_m - 0.1:.1f} m"
             )
 
     @property
@@ -73,12 +75,22 @@ class Goal:
         return {"deceleration": self.deceleration, "place": self.place, "speed": self.speed}
 
 
+def _check_within(where: str, name: str, value: float) -> None:
+    """Raise InputError for a value that no goal can have. Which places are possible, the recording says."""
+    p = next(p for p in _PARAMETERS if p.name == name)
+    if not p.lower <= value <= p.upper:
+        cure = "a position [m] that vehicles come to" if p.axis else p.bounds
+        raise InputError(f"{where} {name} {value:g} is not possible; give {cure}")
+
+
 def read_goal(text: str, where: str) -> Goal:
     """Read a goal from ``NAME:place=PLACE[,speed=SPEED][,deceleration=B][,lane=LANE]``. Raises InputError."""
     name, _, pairs = text.partition(":")
     texts, where = read_pairs(pairs, f"{where} {text}"), f"{where} {text}"
     lane = texts.pop("lane", "")
-    return goal_from(name, {**read_numbers(texts, effect(_EFFECT).parameters, where), "lane": lane})
+    with suppress(ValueError):  # what is no number is told below
+        _check_within(f"{where}:", "place", float(texts.get("place", "0")))
+    return goal_from(name, {**read_numbers(texts, _PARAMETERS, where), "lane": lane})
 
 
 def goals_from(given: Any) -> tuple[Goal, ...]:

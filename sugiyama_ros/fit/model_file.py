@@ -25,7 +25,7 @@ from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.standard_errors import own_stds, shared_stds
 from sugiyama_ros.laws.registry import LAWS, PAPERS, law, name_of, number_of
 from sugiyama_ros.plugins import FAILED
-from sugiyama_ros.road import LENGTHS_M, PERIODS_S, RINGS_M
+from sugiyama_ros.road import DECISIONS_S, LENGTHS_M, RINGS_M
 
 _FORMAT = 1
 # What a file may say, and what it may say of one driver.
@@ -344,7 +344,7 @@ def _conditions(path: Path, document: Mapping[str, Any], length_m: tuple[float, 
             raise InputError(f"individual: {unknown[0]!r} is not the name of a parameter that is fitted; leave it out")
         return Conditions(
             ring_m=None if ring_m is None else _within(ring_m, "ring_m", (0.0, RINGS_M[1])),
-            decision_period_s=None if period_s is None else _within(period_s, "decision_period_s", PERIODS_S),
+            decision_period_s=None if period_s is None else _within(period_s, "decision_period_s", DECISIONS_S),
             length_m=length_m,
             individual=tuple(individual),
         )

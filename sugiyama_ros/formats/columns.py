@@ -150,6 +150,8 @@ def put_together(
     columns["time_s"], note = _in_seconds(np.asarray(columns["time_s"]))
     about = about.noting(note)
     tracks = assemble(columns, about, choices.reference or reference)
+    if tracks.about.leaders == "given":
+        choices.check_ring(tracks)
     if np.any(np.diff(tracks.start) > 1) and not is_regular(tracks):
         tracks = on_time_base(tracks)
     alone = tracks.runs > len(tracks.recording.used()) and not np.any(tracks.leader_row >= 0)

@@ -11,6 +11,8 @@ from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.simulation.experiment import changed
 
 _Values = Mapping[str, float]
+#: Arguments of ``changed``: rows of the drivers, parameters, effects, and what the road has that effects may need.
+Asked = tuple[Array, _Values, Mapping[str, _Values], Collection[str]]
 
 
 class Moving(Protocol):
@@ -23,21 +25,15 @@ class Moving(Protocol):
         """Measure the positions [m] of who is there."""
 
 
-def check_acts(
-    begin: Callable[[Array], Sequence[Moving]],
-    periods: int,
-    rows: Array,
-    parameters: _Values,
-    effects: Mapping[str, _Values],
-    road: Collection[str],
-) -> None:
+def check_acts(begin: Callable[[Array], Sequence[Moving]], periods: int, asked: Asked) -> None:
     """Raise InputError for the first parameter or effect without which everybody would drive as with it.
 
     The drivers are simulated beside drivers without it, with the same random numbers, until the two differ.
 
-    begin: puts drivers with rows (N, width) at their start; periods: how long they drive; other arguments as for
-    ``changed``. A parameter may say the value that the drivers have already.
+    begin: puts drivers with rows (N, width) at their start; periods: how long they drive. A parameter may say the value
+    that the drivers have already.
     """
+    rows, parameters, effects, road = asked
     drivers = changed(rows, parameters, effects, road)
     for name in parameters:
         without = changed(rows, {k: v for k, v in parameters.items() if k != name}, effects, road)
