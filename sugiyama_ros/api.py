@@ -57,7 +57,7 @@ if TYPE_CHECKING:
 #: Largest number of steps of a diagnosis that add something, unless somebody asks for more.
 FEW_STEPS = 3
 #: Bounds of settings of `simulate`.
-_SIMULATE = {"duration_s": (1.0, 1e9), "horizon": (1, 100), "seed": (0, math.inf), "spread": (0.0, 1.0)}
+_SIMULATE = {"duration_s": (1.0, math.inf), "horizon": (1, 100), "seed": (0, math.inf), "spread": (0.0, 1.0)}
 
 
 @dataclass(frozen=True)

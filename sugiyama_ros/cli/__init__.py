@@ -29,7 +29,7 @@ def main() -> None:
     except SugiyamaError as error:
         code = _refused(str(error))
     except KeyboardInterrupt:
-        interrupts.settled()
+        _end_at_once()
         code = _INTERRUPTED
     except BrokenPipeError:  # the program that reads the output has closed it
         code = _FAILED
@@ -38,11 +38,15 @@ def main() -> None:
         if reason is None:
             raise
         code = _refused(reason)
-    interrupts.settled()
+    _end_at_once()
     _flush_or_drop()
-    # From here on nothing can be lost, and another Ctrl-C ends the program at once.
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
     sys.exit(code)
+
+
+def _end_at_once() -> None:
+    """Let another Ctrl-C end the program without a word: all files are written, or removed."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    interrupts.settled()
 
 
 def _run() -> int | str | None:

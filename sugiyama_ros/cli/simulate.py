@@ -108,13 +108,12 @@ def simulate(options: _SimulateOptions) -> None:
     from sugiyama_ros.simulation.experiment import Experiment
 
     if options.lanes is None and options.view is not None:
-        cure = "add --lanes, or leave it out" if options.scene is None else "leave out --view or --scene"
-        raise InputError(f"--view: is for lanes; {cure}")
+        cure = "add --lanes" if options.scene is None else "give --lanes in place of --scene"
+        raise InputError(f"--view: is for lanes; {cure}, or leave it out")
     if options.lanes is not None and options.ring:
         raise InputError("--ring: a ring has one lane; leave out --ring or --lanes")
-    for name in ("controlled", "controller"):
-        if options.lanes is not None and getattr(options, name) is not None:
-            raise InputError(f"--{name}: is for one lane; leave out --{name} or --lanes")
+    if options.lanes is not None and (options.controlled, options.controller) != (None, None):
+        raise InputError("--controlled: is for one lane; leave out --controlled and --controller, or --lanes")
     if options.scene is not None:
         _check_scene(options)
     is_tracks = options.lanes is not None or options.scene is not None
@@ -201,9 +200,11 @@ def _on_lanes(
 
 def _check_scene(options: _SimulateOptions) -> None:
     """Refuse options that a scene does not have."""
-    for name in ("ring", "lanes", "controlled", "controller"):
+    for name in ("ring", "lanes"):
         if getattr(options, name):
             raise InputError(f"--{name}: is not for a scene; leave out --{name} or --scene")
+    if (options.controlled, options.controller) != (None, None):
+        raise InputError("--controlled: is not for a scene; leave out --controlled and --controller, or --scene")
     if options.start != "jam":
         raise InputError("--start: is not for a scene, where drivers come one after the other; leave it out")
 

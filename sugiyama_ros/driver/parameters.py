@@ -56,8 +56,15 @@ class Parameter:
 
     @property
     def bounds(self) -> str:
-        """The bounds in a message."""
-        return f"{self.lower:g} to {self.upper:g}{self.of_unit}"
+        """The bounds in a message; which times and places are possible, a recording says."""
+        of_axis = {"time": "a time [s] at which somebody drives", "place": "a position [m] that vehicles come to"}
+        return of_axis.get(self.axis, f"{self.lower:g} to {self.upper:g}{self.of_unit}")
+
+    @property
+    def bounds_of_effect(self) -> str:
+        """The bounds in a message about an effect, which 0 switches off."""
+        least_is_off = self.lower == 0.0 and not self.axis
+        return f"more than 0, and {self.upper:g}{self.of_unit} at most" if least_is_off else self.bounds
 
 
 def check_declared(owner: str, parameters: Sequence[Parameter]) -> None:
@@ -235,7 +242,9 @@ def read_numbers(
         except ValueError:
             value = math.nan
         if not p.lower <= value <= p.upper and not (may_be_zero and value == 0.0):
-            raise InputError(f"{where}: {name} is {text or 'empty'}; give {p.bounds}")
+            raise InputError(
+                f"{where}: {name} is {text or 'empty'}; give {p.bounds_of_effect if may_be_zero else p.bounds}"
+            )
         found[name] = value
     return found
 

@@ -175,7 +175,8 @@ def switch_on(rows: Array, name: str, values: Values) -> Array:
         # 0 is always allowed, because it switches the effect off
         if value != 0.0 and not declared.lower <= value <= declared.upper:
             raise InputError(
-                f"effect {name}: {parameter} = {value:g}{declared.of_unit} is out of bounds; give {declared.bounds}"
+                f"effect {name}: {parameter} = {value:g}{declared.of_unit} is out of bounds; give"
+                f" {declared.bounds_of_effect}"
             )
         if declared.is_whole and value != round(value):
             raise InputError(f"effect {name}: {parameter} = {value:g} is no whole number; give {round(value)}")

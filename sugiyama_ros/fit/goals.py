@@ -5,7 +5,6 @@ A goal that is not reached cannot be seen. So a goal is another driver: the same
 """
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -53,7 +52,8 @@ class Goal:
         if not self.name.isidentifier() or self.name == THROUGH:
             raise InputError(f"goal {self.name!r}: is no name; use letters, digits and underscores, not {THROUGH}")
         for p in _PARAMETERS:
-            _check_within(f"goal {self.name}:", p.name, getattr(self, p.name))
+            if not p.lower <= (value := getattr(self, p.name)) <= p.upper:
+                raise InputError(f"goal {self.name}: {p.name} {value:g} is not possible; give {p.bounds}")
 
     def check_within(self, first_m: float, last_m: float, speed: float) -> None:
         """Raise InputError if nobody who is seen between two positions [m] slows down for it from a speed [m/s]."""
@@ -75,21 +75,11 @@ class Goal:
         return {"deceleration": self.deceleration, "place": self.place, "speed": self.speed}
 
 
-def _check_within(where: str, name: str, value: float) -> None:
-    """Raise InputError for a value that no goal can have. Which places are possible, the recording says."""
-    p = next(p for p in _PARAMETERS if p.name == name)
-    if not p.lower <= value <= p.upper:
-        cure = "a position [m] that vehicles come to" if p.axis else p.bounds
-        raise InputError(f"{where} {name} {value:g} is not possible; give {cure}")
-
-
 def read_goal(text: str, where: str) -> Goal:
     """Read a goal from ``NAME:place=PLACE[,speed=SPEED][,deceleration=B][,lane=LANE]``. Raises InputError."""
     name, _, pairs = text.partition(":")
     texts, where = read_pairs(pairs, f"{where} {text}"), f"{where} {text}"
     lane = texts.pop("lane", "")
-    with suppress(ValueError):  # what is no number is told below
-        _check_within(f"{where}:", "place", float(texts.get("place", "0")))
     return goal_from(name, {**read_numbers(texts, _PARAMETERS, where), "lane": lane})
 
 
@@ -131,7 +121,7 @@ def goals_of(goals: Sequence[Goal], lane: Sequence[str]) -> Goals:
     for one in goals:
         if one.lane and one.lane not in entries:
             known = f"the lanes are {', '.join(entries)}" if any(entries) else "the tracks name no lanes"
-            raise InputError(f"goal {one.name}: nobody comes in on lane {one.lane}; {known}")
+            raise InputError(f"goal {one.name}: nobody comes in on lane {one.lane}; {known}; give one, or leave it out")
     if len({one.name for one in goals}) < len(goals):
         raise InputError("goals: give each goal a name of its own")
     may = np.array([[True, *(one.lane in ("", here) for one in goals)] for here in lane])

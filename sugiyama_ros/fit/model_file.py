@@ -119,8 +119,8 @@ def drivers_of(file: Path | None, law_name: str, option: Callable[[str], str] = 
 
     option: writes the name of an option for the user. Raises InputError, also for a file and another law at once.
     """
-    law(law_name)
     if file is None:
+        law(law_name)
         row = drive_by(ROW.with_effects(population()), law_name)
         return ModelFile(np.array([-1]), row[None], (), "", "")
     found = read_model(file)
@@ -252,7 +252,7 @@ def read_model(path: Path) -> ModelFile:
     document = read_yaml(path)
     if not isinstance(document, dict) or document.get("sugiyama_model") != _FORMAT:
         raise InputError(
-            f"{path}: is not a model file of format {_FORMAT}; write one with `sugiyama diagnose --output`"
+            f"{path}: is not a model file of format {_FORMAT}; write one with `sugiyama calibrate FILE -o model.yaml`"
         )
     _check_keys(document, _KEYS, str(path))
     drivers = document.get("drivers")

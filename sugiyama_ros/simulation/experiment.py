@@ -71,8 +71,12 @@ class Experiment:
 
     def check(self, vehicles: int) -> None:
         """Check that a number of vehicles can be simulated. Raises InputError."""
+        if not 1 <= vehicles <= MAX_VEHICLES:
+            raise InputError(
+                f"vehicles: {vehicles} cannot be simulated; give 1 or more that have room on the road, and at most"
+                f" {MAX_VEHICLES}"
+            )
         for name, value, lower, upper in (
-            ("vehicles", vehicles, 1, MAX_VEHICLES),
             ("period_s", self.period_s, *SIMULATED_S),
             ("gap_m", self.gap_m, 0.01, 1e6),
             ("spread", self.spread, 0.0, 10.0),
@@ -123,7 +127,7 @@ def set_up(experiment: Experiment, rows: Array, controlled: Controlled | None = 
     if road.is_ring and needed_m > experiment.ring_m:
         raise InputError(
             f"ring of {experiment.ring_m:g} m: {vehicles} vehicles with gaps of {experiment.gap_m:g} m need"
-            f" {needed_m:.0f} m; give a larger ring, smaller gaps or fewer vehicles"
+            f" {math.ceil(needed_m)} m; give a ring of {math.ceil(needed_m)} m or more, or fewer vehicles"
         )
     clock = Clock(experiment.period_s, horizon=experiment.horizon)
     return Simulator(rows, length_m, start_m, road, rng, clock=clock, controlled=controlled)

@@ -156,8 +156,8 @@ def on_time_base(tracks: Tracks, period_s: float | None = None) -> Tracks:
     period_s: time [s] between two samples; by default the tracks' own, but at least 0.06 s: 25 and 30 Hz become 10 Hz.
     Raises InputError.
     """
-    if period_s is not None and not 0.001 <= period_s <= 60.0:
-        raise InputError(f"period: {period_s:g} s cannot be used; give 0.001 to 60 s")
+    if period_s is not None and not 0.01 <= period_s <= 60.0:
+        raise InputError(f"period: {period_s:g} s cannot be used; give 0.01 to 60 s")
     own, regular = period_of(tracks), is_regular(tracks)
     wanted = period_s or (_USUAL_S if own < SHORTEST_S or 0.07 < own < 0.15 else round(own, 2) or own)
     if regular and (math.isclose(wanted, own, rel_tol=1e-6) or (period_s is None and own >= SHORTEST_S)):

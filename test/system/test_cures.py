@@ -2,6 +2,8 @@
 
 import dataclasses
 import json
+import signal
+import subprocess
 import sys
 
 import numpy as np
@@ -57,7 +59,7 @@ REFUSED = {
     "simulate -o new.csv --duration inf": "inf cannot be simulated, for 22 vehicles every 0.333 s; give 300000 at most",
     "simulate -o new.csv --ring 1e20": "not a circumference; give a positive length, 10000000 m at most, or 0 for an",
     "calibrate ring.mcap --scheduler x": "--scheduler x: missing port number in address 'x'; start it, and give host:",
-    "calibrate lanes.parquet --goal x:place=1e9": "--goal x:place=1e9: place 1e+09 is not possible; give a position",
+    "calibrate lanes.parquet --goal x:place=1e9": "--goal x:place=1e9: place is 1e9; give a position [m] that",
     "calibrate lanes.parquet --classes 9": "error: lanes.parquet: 2 drivers, 9 classes; give --classes 2 at most",
     "calibrate lanes.parquet --classes 99": "99 is not possible; give a number of classes, 20 and as many as there are",
     "calibrate lanes.parquet --goal x:place=20,deceleration=0": ": deceleration is 0; give 0.01 to 10 m/s^2",
@@ -66,6 +68,17 @@ REFUSED = {
     "simulate -o new.csv --set rationality=0": "--set: rationality is 0; give 1 to 100000",
     "simulate -o new.csv --effect second_leader_utility:weight=1": ": share is missing; give 0.2 to 1",
     f"simulate -o {'a' * 300}.csv": ".csv: cannot be written: File name too long; check the name",
+    "run ring.mcap -o a.mcap --duration 2": "--duration: is for simulated drivers; give --simulate in place of a file",
+    "simulate -o a.csv --lanes 2 --controlled 0": "is for one lane; leave out --controlled and --controller, or",
+    "simulate -o a.csv --scene merge --controlled 0": "not for a scene; leave out --controlled and --controller",
+    "simulate -o a.csv --ring 50": "22 vehicles with gaps of 2 m need 138 m; give a ring of 138 m or more, or fewer",
+    "calibrate ring.mcap --classes 2 --effects drag": "share all parameters; leave it out, or --effects",
+    "calibrate ring.mcap --profile --effects drag": "is for drivers calibrated one by one; leave it out, or --effects",
+    "calibrate ring.mcap --formulation paper --law nosuch": "--law: the paper's formulation knows none; use the causal",
+    "convert ring.csv a.csv --ring 40 --lane 7": "--lane 7: does not occur; the tracks do not say it; leave it out",
+    "simulate -o a.csv --effect harshness:weight=x": "weight is x; give more than 0, and 100 at most",
+    "simulate -o a.csv --effect slow_patch:centre=x": "centre is x; give a position [m] that vehicles come to",
+    "info plane.csv": "with their road: sugiyama convert plane.csv tracks.parquet --road-file MAP.osm",
 }
 
 
@@ -190,3 +203,37 @@ def test_a_force_that_cannot_be_added_says_why(run):
 def test_a_name_that_is_too_long(tmp_path):
     with pytest.raises(OutputError, match=r"cannot be written: File name too long; check the name"):
         sg.simulate(3, ring_m=40.0, duration_s=5.0).save(tmp_path / f"{'a' * 300}.csv")
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["calibrate ring.mcap --parameters ,", "calibrate ring.mcap --effects ,", "convert ring.csv a.csv --lane ,"],
+)
+def test_a_list_without_a_name_is_refused(words, run):
+    assert run(words) == (2, "error: ',': has no name; give names with commas between, or leave out the option")
+
+
+def test_echo_says_nothing_before_an_error(run, folder, monkeypatch, capfd):
+    monkeypatch.setattr(sys, "argv", ["sugiyama", "echo", "ring.mcap", "/nosuch", "--json"])
+    with pytest.raises(SystemExit):
+        cli.main()
+    assert capfd.readouterr().out == ""
+    monkeypatch.setattr(sys, "argv", ["sugiyama", "echo", "ring.mcap", "/road", "--json"])
+    with pytest.raises(SystemExit):
+        cli.main()
+    assert len(json.loads(capfd.readouterr().out)) == 1
+
+
+def test_ctrl_c_at_the_end_of_a_command_leaves_no_traceback():
+    program = (
+        "import os, signal, sys\n"
+        "from sugiyama_ros import cli, interrupts\n"
+        "settled = interrupts.settled\n"
+        "interrupts.settled = lambda: (os.kill(os.getpid(), signal.SIGINT), settled())\n"
+        "sys.argv = ['sugiyama', 'laws']\n"
+        "cli.main()\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert ended.returncode == -signal.SIGINT
+    assert "IDM" in ended.stdout
+    assert ended.stderr == ""

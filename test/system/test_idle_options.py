@@ -250,7 +250,7 @@ def test_studies_use_what_they_say():
         ("CONTROLLED --spread 0.1", "spread: is for drivers, and a controller drives every vehicle; leave out the s"),
         ("CONTROLLED --set sigma_nu=0.3", ""),
         ("--effect slow_patch:reduction=0.3,centre=20,width=10 --set v_star=11 --spread 0.1", ""),
-        ("--scene merge --view 0,100", "--view: is for lanes; leave out --view or --scene"),
+        ("--scene merge --view 0,100", "--view: is for lanes; give --lanes in place of --scene, or leave it out"),
         ("--view 0,100", "--view: is for lanes; add --lanes, or leave it out"),
     ],
 )
