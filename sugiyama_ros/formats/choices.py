@@ -71,7 +71,7 @@ class Choices:
         same = np.diff(tracks.run) == 0
         steps_m, led = np.diff(tracks.s_m)[same], tracks.leader_row >= 0
         ways_m = tracks.s_m[tracks.leader_row[led]] - tracks.s_m[led]
-        if np.all(np.abs(steps_m) <= 0.5 * self.ring_m) and np.all((ways_m >= 0.0) & (ways_m <= 0.5 * self.ring_m)):
+        if np.all(np.abs(steps_m) <= 0.5 * self.ring_m) and np.all(ways_m >= 0.0):
             raise InputError(
                 f"{tracks.about.source or 'tracks'}: nobody drives once around a ring of {self.ring_m:g} m, or follows"
                 " somebody around it; leave out --ring"

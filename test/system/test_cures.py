@@ -30,6 +30,7 @@ def folder(tmp_path_factory):
 
     made = tmp_path_factory.mktemp("cures")
     sg.simulate_lane_changes(4, 2, 20.0, seed=1).tracks.save(made / "lanes.parquet")
+    sg.simulate(3, ring_m=0.0, duration_s=20.0).measured.save(made / "apart.parquet")
     ring = sg.simulate(3, ring_m=40.0, duration_s=20.0)
     ring.measured.save(made / "ring.parquet")
     ring.measured.save(made / "ring.csv")
@@ -55,6 +56,7 @@ def run(folder, monkeypatch, capfd):
 REFUSED = {
     "convert plane.csv new.csv --road-file road.csv --ring 40": "ring: 40 m is given beside a road; leave out the ring",
     "info plane.csv --road-file road.csv --ring 40": "ring: 40 m is given beside a road; leave out the ring",
+    "calibrate apart.parquet --ring 40": ": nobody drives once around a ring of 40 m, or follows somebody around it",
     "calibrate lanes.parquet --ring 400": ": nobody drives once around a ring of 400 m, or follows somebody around it",
     "simulate -o new.csv --duration inf": "inf cannot be simulated, for 22 vehicles every 0.333 s; give 300000 at most",
     "simulate -o new.csv --ring 1e20": "not a circumference; give a positive length, 10000000 m at most, or 0 for an",
