@@ -15,6 +15,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.calibration.calibrate import calibrate_drivers
 from sugiyama_ros.calibration.lane_changes import lane_changes as lane_changes
 from sugiyama_ros.calibration.result import Calibration, Settings, number_of_classes
+from sugiyama_ros.controllers.controller import Controlled
 from sugiyama_ros.controllers.registry import controlled_by
 from sugiyama_ros.diagnosis import compare as comparison
 from sugiyama_ros.diagnosis import diagnose as diagnosis
@@ -33,7 +34,7 @@ from sugiyama_ros.formats.choices import Choices, choices_of, read_choices, refe
 from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.formats.roads import read_road as read_road
 from sugiyama_ros.formats.table import tracks_of_frame
-from sugiyama_ros.laws.registry import PAPERS
+from sugiyama_ros.laws.registry import ADAPTIVE_SEEK, PAPERS
 from sugiyama_ros.page import recording
 from sugiyama_ros.page.diagnosis import check_same, read_diagnosis
 from sugiyama_ros.page.document import document as document_of
@@ -41,7 +42,8 @@ from sugiyama_ros.page.recording import Recording
 from sugiyama_ros.progress import stages
 from sugiyama_ros.results import plain
 from sugiyama_ros.roads.network import Network
-from sugiyama_ros.simulation.experiment import Experiment, carry_out, changed
+from sugiyama_ros.simulation.experiment import Experiment, carry_out, changed, set_up
+from sugiyama_ros.simulation.idle import Asked, check_acts, check_somebody_drives
 from sugiyama_ros.simulation.multilane import simulate_lane_changes as simulate_lane_changes
 from sugiyama_ros.simulation.result import Simulation
 from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M
@@ -55,7 +57,7 @@ if TYPE_CHECKING:
 #: Largest number of steps of a diagnosis that add something, unless somebody asks for more.
 FEW_STEPS = 3
 #: Bounds of settings of `simulate`.
-_SIMULATE = {"duration_s": (1.0, 1e9), "horizon": (1, 100), "seed": (0, math.inf), "spread": (0.0, 1.0)}
+_SIMULATE = {"duration_s": (1.0, math.inf), "horizon": (1, 100), "seed": (0, math.inf), "spread": (0.0, 1.0)}
 
 
 @dataclass(frozen=True)
@@ -212,8 +214,17 @@ def simulate(
     experiment = Experiment(**{**(file.conditions.of_experiment(count) if file is not None else {}), **settings})
     experiment.check(count)
     rows = _usual_drivers(count, law) if file is None else file.simulated(count)
-    rows = changed(rows, parameters or {}, effects or {}, experiment.road)
-    return carry_out(experiment, rows, controlled_by(controlled, controller))
+    by_controller = controlled_by(controlled, controller)
+    return _simulated(experiment, law, by_controller, (rows, parameters or {}, effects or {}, experiment.road))
+
+
+def _simulated(experiment: Experiment, law: str, controlled: Controlled | None, asked: Asked) -> Simulation:
+    """Simulate what was asked for, once everything that was asked is known to change something."""
+    if experiment.horizon is not None and not np.any(asked[0][:, ROW.law] == ADAPTIVE_SEEK):
+        raise InputError("horizon: drivers by another law than the paper's do not look ahead; leave it out, or the law")
+    check_somebody_drives(len(asked[0]), () if controlled is None else controlled.vehicles, law, experiment.spread)
+    check_acts(lambda drivers: [set_up(experiment, drivers, controlled)], experiment.samples - 1, asked)
+    return carry_out(experiment, changed(*asked), controlled)
 
 
 def _usual_drivers(vehicles: int, law: str) -> Array:
@@ -254,8 +265,8 @@ def calibrate(
         classes: number of classes of drivers who share all parameters, 0 for parameters of each driver, "auto" for the
         number that predicts held-out drivers best, "vehicle" for the classes of the vehicles; goals: what drivers may
         intend besides driving through, such as ``{"exit": {"place": 500.0, "speed": 8.0}}``; law: name of the law by
-        which the drivers drive, all of whose parameters are estimated; seed: seed of all random numbers; scheduler:
-        address of a Dask scheduler whose workers do the work.
+        which the drivers drive, all of whose parameters are estimated; seed: seed of the search for classes and
+        goals; scheduler: address of a Dask scheduler whose workers do the work.
 
     Returns
     -------

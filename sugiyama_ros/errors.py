@@ -4,6 +4,7 @@ The text of an error is one line. It says where the error happened (file, line o
 it. The command line prints the text and exits with code 2. The user never sees a traceback for such an error.
 """
 
+import errno
 import re
 
 #: Longest text of an error; the middle of a longer one is left out, so that the place and the cure stay.
@@ -39,6 +40,12 @@ class InputError(SugiyamaError):
 
 class OutputError(SugiyamaError):
     """An output cannot be written to the place that the user asked for."""
+
+
+def cure_of_place(error: OSError | ValueError) -> str:
+    """Say what to do where a file cannot be written; a ValueError is of a name with a zero byte."""
+    is_name = isinstance(error, ValueError) or error.errno in (errno.ENOENT, errno.ENAMETOOLONG)
+    return "check the name" if is_name else "free some space there, or choose another place"
 
 
 def nowhere_to_compile(error: Exception) -> str | None:

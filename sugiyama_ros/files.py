@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from sugiyama_ros.errors import InputError, OutputError
+from sugiyama_ros.errors import InputError, OutputError, cure_of_place
 
 # Largest document [bytes], and how deep lists and mappings may lie in one another.
 _LARGEST_BYTES, _DEEPEST = 50_000_000, 32
@@ -291,7 +291,7 @@ def writing(target: Target) -> Iterator[BinaryIO]:
 def not_written(path: Path, error: OSError | ValueError) -> OutputError:
     """Return the error to raise for a place that cannot be written."""
     reason = getattr(error, "strerror", None) or error
-    return OutputError(f"{path}: cannot be written: {reason}; free some space there, or choose another place")
+    return OutputError(f"{path}: cannot be written: {reason}; {cure_of_place(error)}")
 
 
 def make_directory(path: Path) -> None:

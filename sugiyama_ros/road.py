@@ -9,6 +9,12 @@ from sugiyama_ros.errors import InputError
 
 #: For which the model makes sense: time [s] between samples, circumference [m] of a ring, length [m] of a vehicle.
 PERIODS_S, RINGS_M, LENGTHS_M = (1e-3, 1e3), (1.0, 1e7), (0.01, 100.0)
+#: Time [s] between two samples of a simulation. A driver weighs what an action changes within one period (phi1 of the
+#: paper), so in shorter periods all actions seem alike: at 5 m/s, 10 m behind a car as fast, the usual driver means to
+#: accelerate by 2.0 m/s^2 at 0.2 s, by 1.0 at 0.05 s, and to brake at 0.02 s.
+SIMULATED_S = (0.05, PERIODS_S[1])
+#: Time [s] from one decision of a driver to the next, of whom a file tells: ten times as often as anybody decides.
+DECISIONS_S = (0.01, PERIODS_S[1])
 
 
 @dataclass(frozen=True)
@@ -31,7 +37,8 @@ class Road:
     def __post_init__(self) -> None:
         if not 0.0 <= self.circumference_m <= RINGS_M[1]:
             raise InputError(
-                f"ring: {self.circumference_m} m is not a circumference; give a positive length, or 0 for an open road"
+                f"ring: {self.circumference_m} m is not a circumference; give a positive length, {RINGS_M[1]:.0f} m at"
+                " most, or 0 for an open road"
             )
 
     @property

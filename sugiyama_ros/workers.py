@@ -55,7 +55,9 @@ def _cluster(scheduler: str) -> Iterator[Executor]:
         client = Client(scheduler, timeout="10s")
     except (OSError, ValueError, TypeError) as error:  # TypeError: an encrypted connection without certificates
         why = (str(error).splitlines() or ["no answer"])[0]
-        raise InputError(f"--scheduler {scheduler}: {why}; is it running?") from None
+        raise InputError(
+            f"--scheduler {scheduler}: {why}; start it, and give host:port, such as tcp://localhost:8786"
+        ) from None
     with client:
         # another worker can repeat the work of a worker that dies: a part depends only on the data sent with it
         yield client.get_executor(pure=False, retries=3)

@@ -125,8 +125,8 @@ def force(covariate: str = "gap", sizes: Sequence[float] = (0.0, 1.0, 0.2), **ch
 
 def check(name: str, value: float = 2.0, expected: float = 1.0, **changed: Any) -> dict[str, Any]:
     """A check; by default one that holds."""
-    one = {"name": name, "value": value, "expected": expected, "unit": "1", "p_value": 0.4, "failed": False}
-    return {**one, **changed}
+    one = {"name": name, "value": value, "expected": expected, "unit": "1", "p_value": 0.4, "margin": 0.0}
+    return {**one, "failed": False, **changed}
 
 
 def fails(name: str, value: float = 2.0, expected: float = 1.0, **changed: Any) -> dict[str, Any]:

@@ -54,7 +54,7 @@ def calibrate_drivers(
     road = one_road(tracks, where) if settings.formulation == "paper" else road_of_drivers(tracks)
     with workers(tracks.runs, scheduler) as work:
         if settings.classes or settings.goals:
-            return _in_classes(tracks, road, settings, work, on_progress)
+            return _in_classes(tracks, road, settings, work, on_progress, where)
         if settings.is_pooled(on_tracks=road is None):
             return _pooled(tracks, road, settings, work)
         if road is None:
@@ -96,7 +96,7 @@ def each_driver(
 
 
 def _in_classes(
-    tracks: Tracks, road: DenseTracks | None, settings: Settings, work: Executor, on_progress: OnProgress
+    tracks: Tracks, road: DenseTracks | None, settings: Settings, work: Executor, on_progress: OnProgress, where: str
 ) -> Calibration:
     """Calibrate classes of drivers. The drivers of a class share all parameters, and a recording has its own noises."""
     # Imported here: drivers who are calibrated alone need no classes, which load slowly.
@@ -108,7 +108,7 @@ def _in_classes(
     data, estimated = _prepared(tracks, road, settings)
     places = tuple(index(name) for name in estimated)
     settings = replace(settings, estimated=estimated)
-    settings.check_classes(data.drivers, tracks.about.source)
+    settings.check_classes(data.drivers, where or tracks.about.source)
     known: list[str] = []
     held_out: tuple[Predictions, ...] = ()
     count = max(settings.classes, 1) if isinstance(settings.classes, int) else 1

@@ -79,8 +79,8 @@ class Settings:
             raise InputError(f"{option('formulation')}: {self.formulation!r} is not known; give paper or causal")
         if self.seed < 0:
             raise InputError(f"{option('seed')}: {self.seed} is not possible; give 0 or more")
-        number_of_classes(self.classes, option)
-        law(self.law)
+        if self.seed and not (self.classes or self.goals):
+            raise InputError(f"{option('seed')}: only classes and goals are searched at random; leave it out")
         for name, is_given in (
             ("effects", bool(self.effects)),
             ("law", self.law != PAPERS),
@@ -89,6 +89,8 @@ class Settings:
         ):
             if is_given and is_paper:
                 raise InputError(f"{option(name)}: the paper's formulation knows none; use the causal formulation")
+        number_of_classes(self.classes, option)
+        law(self.law)
         for name in self.effects if self.law != PAPERS else ():
             if name in EFFECTS and EFFECTS[name].acts_on_preferences:
                 raise InputError(
@@ -105,12 +107,17 @@ class Settings:
                     f"{regularise}: cannot be off with {option(name)}, which calibrates all drivers together; leave"
                     " out one of the two"
                 )
-        others = f"{effects}, {option('law')}, {regularise}"
-        if self.is_pooled(on_tracks=False) and self.profiled:
-            raise InputError(f"{profile}: is for drivers calibrated one by one; leave out {others}")
-        if (self.classes or self.goals) and (self.is_pooled(on_tracks=False) or self.profiled):
-            shared = option("classes" if self.classes else "goal")
-            raise InputError(f"{shared}: the drivers of a class share all parameters; leave out {others}, {profile}")
+        pooled = {effects: self.effects, option("law"): self.law != PAPERS, regularise: self.is_regularised}
+        others = [name for name, is_given in pooled.items() if is_given]
+        if others and self.profiled:
+            raise InputError(
+                f"{profile}: is for drivers calibrated one by one; leave it out, or {' and '.join(others)}"
+            )
+        if (self.classes or self.goals) and (others or self.profiled):
+            shared, others = option("classes" if self.classes else "goal"), others or [profile]
+            raise InputError(
+                f"{shared}: the drivers of a class share all parameters; leave it out, or {' and '.join(others)}"
+            )
         if (self.classes or self.goals) and self.estimated and {index(n) for n in self.estimated} <= set(OF_RECORDING):
             raise InputError(
                 f"{option('parameters')}: {', '.join(self.estimated)}: noises belong to a recording, not to a class;"
@@ -128,7 +135,10 @@ def number_of_classes(given: object, option: Callable[[str], str] = str) -> int 
         count = -1
     if not 0 <= count <= MOST_CLASSES:
         name = option("classes")
-        raise InputError(f"{name}: {given} is not possible; give 0 to {MOST_CLASSES}, {AUTO} or {VEHICLE}")
+        raise InputError(
+            f"{name}: {given} is not possible; give a number of classes, {MOST_CLASSES} and as many as there are"
+            f" drivers at most, {AUTO}, {VEHICLE}, or 0 for none"
+        )
     return count
 
 

@@ -5,14 +5,13 @@ line and exit code 2, Ctrl-C with exit code 130. This file imports nothing that 
 commands are loaded ends the program in good order too.
 """
 
-import errno
 import os
 import signal
 import sys
 from contextlib import suppress
 
 from sugiyama_ros import interrupts
-from sugiyama_ros.errors import SugiyamaError, nowhere_to_compile
+from sugiyama_ros.errors import SugiyamaError, cure_of_place, nowhere_to_compile
 
 _FAILED, _REFUSED, _INTERRUPTED = 1, 2, 130
 
@@ -30,7 +29,7 @@ def main() -> None:
     except SugiyamaError as error:
         code = _refused(str(error))
     except KeyboardInterrupt:
-        interrupts.settled()
+        _end_at_once()
         code = _INTERRUPTED
     except BrokenPipeError:  # the program that reads the output has closed it
         code = _FAILED
@@ -39,11 +38,15 @@ def main() -> None:
         if reason is None:
             raise
         code = _refused(reason)
-    interrupts.settled()
+    _end_at_once()
     _flush_or_drop()
-    # From here on nothing can be lost, and another Ctrl-C ends the program at once.
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
     sys.exit(code)
+
+
+def _end_at_once() -> None:
+    """Let another Ctrl-C end the program without a word: all files are written, or removed."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    interrupts.settled()
 
 
 def _run() -> int | str | None:
@@ -70,8 +73,7 @@ def _cause_outside(error: Exception) -> str | None:
     """What the user reads where the system refused something; None for an error of the program itself."""
     if isinstance(error, OSError) and error.errno is not None:
         where = error.filename if error.filename is not None else "the output"
-        cure = "check the name" if error.errno == errno.ENOENT else "free some space, or choose another place"
-        return f"{where}: {error.strerror or error}; {cure}"
+        return f"{where}: {error.strerror or error}; {cure_of_place(error)}"
     if (reason := nowhere_to_compile(error)) is not None:
         return reason
     if isinstance(error, ZeroDivisionError) and (names := _effects_of_others()):

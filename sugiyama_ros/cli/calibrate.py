@@ -13,7 +13,6 @@ from sugiyama_ros.cli.options import (
     Overwrite,
     Ring,
     Scheduler,
-    Seed,
     Sources,
     model_to_write,
     names,
@@ -77,7 +76,7 @@ class _CalibrateOptions:
             " exit, or with speed 0 the end of the lane; SI units. May be repeated."
         ),
     ] = None
-    seed: Seed = 0
+    seed: Annotated[int, typer.Option(min=0, help="With --classes or --goal: seed of the random numbers.")] = 0
     scheduler: Scheduler = None
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Model file (YAML) to write.")] = None
     overwrite: Overwrite = False

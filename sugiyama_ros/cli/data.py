@@ -295,11 +295,12 @@ def echo(
     with Bag(file) as bag:
         messages = bag.messages({topic})
         if as_json:
-            sys.stdout.write("[")
-            for number, (_, _, log_time_ns, message) in enumerate(messages):
+            before = "["  # nothing is written before the first message is read
+            for _, _, log_time_ns, message in messages:
                 document = {"log_time_ns": log_time_ns, "message": plain(message)}
-                sys.stdout.write(("," if number else "") + "\n" + to_json(document))
-            sys.stdout.write("\n]\n")
+                sys.stdout.write(f"{before}\n{to_json(document)}")
+                before = ","
+            sys.stdout.write("[\n]\n" if before == "[" else "\n]\n")
         else:
             for _, _, log_time_ns, message in messages:
                 sys.stdout.write(f"# {log_time_ns}\n{to_json(plain(message), indent=2)}\n---\n")

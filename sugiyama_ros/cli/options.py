@@ -84,8 +84,11 @@ def command_line(name: str, options: Callable[..., object], **values: object) ->
 
 
 def names(text: str) -> tuple[str, ...]:
-    """The names in a list that is separated by commas."""
-    return tuple(name.strip() for name in text.split(",") if name.strip())
+    """The names in a list that is separated by commas. Raises InputError for a list without a name."""
+    found = tuple(name.strip() for name in text.split(",") if name.strip())
+    if text and not found:
+        raise InputError(f"{text!r}: has no name; give names with commas between, or leave out the option")
+    return found
 
 
 def rate_of(text: str) -> float:

@@ -161,7 +161,9 @@ def _source(options: RunOptions) -> "Path | FromSimulator":
             raise InputError("run: no file given; give trajectories, or --simulate")
         for name, value in asked.items():
             if value is not None:
-                raise InputError(f"{name}: is for simulated drivers; add --simulate, or leave it out")
+                raise InputError(
+                    f"{name}: is for simulated drivers; give --simulate in place of a file, or leave it out"
+                )
         return options.source
     if options.source is not None:
         raise InputError(f"{options.source}: simulated drivers need no file; leave it out, or leave out --simulate")

@@ -2,7 +2,9 @@
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -28,8 +30,10 @@ from sugiyama_ros.progress import stage
 
 if TYPE_CHECKING:
     from sugiyama_ros.arrays import Array
+    from sugiyama_ros.controllers.controller import Controlled
     from sugiyama_ros.fit import model_file
     from sugiyama_ros.simulation.experiment import Experiment
+    from sugiyama_ros.simulation.idle import Moving
 
 
 # Number of vehicles, unless a model file or somebody says otherwise.
@@ -68,7 +72,7 @@ class _SimulateOptions:
     duration: Annotated[float, typer.Option(min=1.0, help="Duration of the simulation [s].")] = 250.0
     period: Annotated[
         float | None,
-        typer.Option(min=0.01, max=2.0, help="Time between two samples [s]. By default the model file's, or 1/3."),
+        typer.Option(min=0.05, max=2.0, help="Time between two samples [s]. By default the model file's, or 1/3."),
     ] = None
     spread: Annotated[
         float,
@@ -100,16 +104,17 @@ def simulate(options: _SimulateOptions) -> None:
     file, whoever drove ahead of whom in its recording.
     """
     print_cautions(options.model)
+    from sugiyama_ros.controllers.registry import controlled_by
     from sugiyama_ros.fit.model_file import drivers_of
     from sugiyama_ros.simulation.experiment import Experiment
 
     if options.lanes is None and options.view is not None:
-        raise InputError("--view: is for tracks; add --lanes, or leave it out")
+        cure = "add --lanes" if options.scene is None else "give --lanes in place of --scene"
+        raise InputError(f"--view: is for lanes; {cure}, or leave it out")
     if options.lanes is not None and options.ring:
         raise InputError("--ring: a ring has one lane; leave out --ring or --lanes")
-    for name in ("controlled", "controller"):
-        if options.lanes is not None and getattr(options, name) is not None:
-            raise InputError(f"--{name}: is for one lane; leave out --{name} or --lanes")
+    if options.lanes is not None and (options.controlled, options.controller) != (None, None):
+        raise InputError("--controlled: is for one lane; leave out --controlled and --controller, or --lanes")
     if options.scene is not None:
         _check_scene(options)
     is_tracks = options.lanes is not None or options.scene is not None
@@ -125,9 +130,10 @@ def simulate(options: _SimulateOptions) -> None:
     )
     experiment.check(vehicles)
     drive = _at_scene if options.scene is not None else _on_one_lane if options.lanes is None else _on_lanes
-    rows = _rows(options, file, vehicles, experiment)
+    controlled = controlled_by(options.controlled, options.controller, "--{}".format)
+    rows = _rows(options, file, vehicles, experiment, controlled)
     with stage("simulating"):
-        document, lines = drive(options, experiment, rows, output)
+        document, lines = drive(options, experiment, rows, controlled, output)
     if options.as_json:
         print_json({"output": str(options.output), "vehicles": vehicles, **document, "seed": options.seed})
         return
@@ -144,15 +150,18 @@ def simulate(options: _SimulateOptions) -> None:
 
 
 def _on_one_lane(
-    options: _SimulateOptions, experiment: "Experiment", rows: "Array", output: Output
+    options: _SimulateOptions,
+    experiment: "Experiment",
+    rows: "Array",
+    controlled: "Controlled | None",
+    output: Output,
 ) -> tuple[dict[str, Any], list[str]]:
     """Write a ring or a lane with the truth; returns the document, and what is said."""
-    from sugiyama_ros.controllers.registry import controlled_by
     from sugiyama_ros.formats.table import write_csv
     from sugiyama_ros.formats.truth import write_simulated
     from sugiyama_ros.simulation.experiment import carry_out
 
-    simulated = carry_out(experiment, rows, controlled_by(options.controlled, options.controller, "--{}".format))
+    simulated = carry_out(experiment, rows, controlled)
     measured, speed = simulated.dense, simulated.speed[len(simulated.speed) // 2 :]
     if output.path.suffix == ".mcap":
         write_simulated(measured, simulated.truth, output)
@@ -176,7 +185,7 @@ def _on_one_lane(
 
 
 def _on_lanes(
-    options: _SimulateOptions, experiment: "Experiment", rows: "Array", output: Output
+    options: _SimulateOptions, experiment: "Experiment", rows: "Array", _: "Controlled | None", output: Output
 ) -> tuple[dict[str, Any], list[str]]:
     """Write the tracks of who is in view on an open road with lanes; results as of ``_on_one_lane``."""
     from sugiyama_ros.formats.tracks_parquet import write_tracks
@@ -192,15 +201,17 @@ def _on_lanes(
 
 def _check_scene(options: _SimulateOptions) -> None:
     """Refuse options that a scene does not have."""
-    for name in ("ring", "lanes", "controlled", "controller"):
+    for name in ("ring", "lanes"):
         if getattr(options, name):
             raise InputError(f"--{name}: is not for a scene; leave out --{name} or --scene")
+    if (options.controlled, options.controller) != (None, None):
+        raise InputError("--controlled: is not for a scene; leave out --controlled and --controller, or --scene")
     if options.start != "jam":
         raise InputError("--start: is not for a scene, where drivers come one after the other; leave it out")
 
 
 def _at_scene(
-    options: _SimulateOptions, experiment: "Experiment", rows: "Array", output: Output
+    options: _SimulateOptions, experiment: "Experiment", rows: "Array", _: "Controlled | None", output: Output
 ) -> tuple[dict[str, Any], list[str]]:
     """Write the tracks of drivers who meet at a scene; results as of ``_on_one_lane``."""
     from sugiyama_ros.formats.tracks_parquet import write_tracks
@@ -239,8 +250,25 @@ def _view(text: str | None) -> tuple[float, float]:
     return first, last
 
 
+def _begin(
+    options: _SimulateOptions, experiment: "Experiment", controlled: "Controlled | None", rows: "Array"
+) -> "Sequence[Moving]":
+    """Put drivers with these rows at the start of what the options ask for."""
+    from sugiyama_ros.simulation.experiment import set_up
+    from sugiyama_ros.simulation.lanes import set_up_lanes
+    from sugiyama_ros.simulation.scenes import scene_simulator
+
+    if options.scene is not None:
+        return [scene_simulator(options.scene, rows, options.seed, options.spread, experiment.period_s)]
+    return set_up_lanes(experiment, rows, options.lanes) if options.lanes else [set_up(experiment, rows, controlled)]
+
+
 def _rows(
-    options: _SimulateOptions, file: "model_file.ModelFile | None", vehicles: int, experiment: "Experiment"
+    options: _SimulateOptions,
+    file: "model_file.ModelFile | None",
+    vehicles: int,
+    experiment: "Experiment",
+    controlled: "Controlled | None",
 ) -> "Array":
     """Parameters (N, WIDTH) of N drivers: the paper's or a model file's, changed by --set and --effect."""
     import numpy as np
@@ -250,6 +278,7 @@ def _rows(
     from sugiyama_ros.effects.registry import ROW, read_effects
     from sugiyama_ros.fit.model_file import drive_by
     from sugiyama_ros.simulation.experiment import changed
+    from sugiyama_ros.simulation.idle import check_acts, check_somebody_drives
     from sugiyama_ros.simulation.scenes import road_of
 
     road = experiment.road if options.scene is None else road_of(options.scene)
@@ -261,4 +290,8 @@ def _rows(
     values = read_parameters(options.parameter or (), "--set")
     for name in values:
         check_parameter(name, rows, f"--set {name}")
-    return changed(rows, values, read_effects(options.effect or (), "--effect"), road)
+    effects = read_effects(options.effect or (), "--effect")
+    check_somebody_drives(vehicles, () if controlled is None else controlled.vehicles, options.law, options.spread)
+    asked = rows, values, effects, road
+    check_acts(partial(_begin, options, experiment, controlled), experiment.samples - 1, asked)
+    return changed(*asked)

@@ -176,10 +176,8 @@ def check_names(names: Sequence[str], law: str) -> None:
         effect, _, covariate = name.partition(":")
         if effect == FORCE:
             if covariate and covariate not in COVARIATES:
-                raise InputError(
-                    f"{name}: a force along {covariate!r} cannot be added; give {FORCE}: and one of"
-                    f" {', '.join(COVARIATES)}"
-                )
+                known = ", ".join(COVARIATES)
+                raise InputError(f"{name}: nobody measures {covariate!r}; give {FORCE}: and one of {known}")
         elif name not in (*EFFECTS, *MECHANISM.values(), *constants):
             raise InputError(
                 f"effect {name!r}: is not known; give names that `sugiyama effects` lists, {', '.join(constants)}, or"
@@ -195,8 +193,9 @@ def chosen(data: Recorded, possible: Sequence[Candidate], name: str) -> Candidat
     mine = [c for c in possible if c.name == wanted] or [c for c in possible if c.mechanism == wanted]
     if mine:
         return mine[0]
-    known = sorted({one for c in possible for one in (c.name, c.mechanism)})
-    why = why_not(EFFECTS[name], data) if name in EFFECTS and EFFECTS[name].is_searched else ""
+    known = sorted({one.replace(FORCE_ALONG, f"{FORCE}:") for c in possible for one in (c.name, c.mechanism)})
+    why = "too few samples know it, or have it in common" * (wanted != name)
+    why = why_not(EFFECTS[name], data) if name in EFFECTS and EFFECTS[name].is_searched else why
     raise InputError(
         f"effect {name!r}: cannot be added here{f': {why}' if why else ''}; choose among {', '.join(known)}"
     )

@@ -7,7 +7,7 @@ an array of shape (N, P).
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -48,6 +48,23 @@ class Parameter:
     description: str
     axis: Literal["", "time", "place"] = ""
     is_whole: bool = False
+
+    @property
+    def of_unit(self) -> str:
+        """The unit after a number in a message; empty for a number without a unit."""
+        return "" if self.unit == "1" else f" {self.unit}"
+
+    @property
+    def bounds(self) -> str:
+        """The bounds in a message; which times and places are possible, a recording says."""
+        of_axis = {"time": "a time [s] at which somebody drives", "place": "a position [m] that vehicles come to"}
+        return of_axis.get(self.axis, f"{self.lower:g} to {self.upper:g}{self.of_unit}")
+
+    @property
+    def bounds_of_effect(self) -> str:
+        """The bounds in a message about an effect, which 0 switches off."""
+        least_is_off = self.lower == 0.0 and not self.axis
+        return f"more than 0, and {self.upper:g}{self.of_unit} at most" if least_is_off else self.bounds
 
 
 def check_declared(owner: str, parameters: Sequence[Parameter]) -> None:
@@ -182,9 +199,7 @@ def check(parameters: NDArray[np.float64]) -> None:
         values = np.ravel(parameters[..., k])
         outside = values[~((values >= p.lower) & (values <= p.upper))]
         if len(outside):
-            raise InputError(
-                f"parameter {p.name}: {outside[0]:g} {p.unit} is out of bounds; give {p.lower:g} to {p.upper:g}"
-            )
+            raise InputError(f"parameter {p.name}: {outside[0]:g}{p.of_unit} is out of bounds; give {p.bounds}")
 
 
 def check_for_filter(parameters: NDArray[np.float64]) -> None:
@@ -193,8 +208,8 @@ def check_for_filter(parameters: NDArray[np.float64]) -> None:
     # a filter divides by these and takes their logarithms
     for k in (SIGMA_NU, SIGMA_A):
         if not (parameters[..., k] >= LEAST_NOISE).all():
-            p = PARAMETERS[k]
-            raise InputError(f"parameter {p.name}: a filter needs noise; give {LEAST_NOISE:g} to {p.upper:g} {p.unit}")
+            needed = replace(PARAMETERS[k], lower=LEAST_NOISE)
+            raise InputError(f"parameter {needed.name}: a filter needs noise; give {needed.bounds}")
 
 
 def read_pairs(text: str, where: str) -> dict[str, str]:
@@ -227,8 +242,9 @@ def read_numbers(
         except ValueError:
             value = math.nan
         if not p.lower <= value <= p.upper and not (may_be_zero and value == 0.0):
-            unit = "" if p.unit == "1" else f" {p.unit}"
-            raise InputError(f"{where}: {name} is {text or 'empty'}; give {p.lower:g} to {p.upper:g}{unit}")
+            raise InputError(
+                f"{where}: {name} is {text or 'empty'}; give {p.bounds_of_effect if may_be_zero else p.bounds}"
+            )
         found[name] = value
     return found
 

@@ -178,8 +178,8 @@ def switch_on(rows: Array, name: str, values: Values) -> Array:
         # 0 is always allowed, because it switches the effect off
         if value != 0.0 and not declared.lower <= value <= declared.upper:
             raise InputError(
-                f"effect {name}: {parameter} = {value:g} {declared.unit} is out of bounds; give {declared.lower:g} to"
-                f" {declared.upper:g}"
+                f"effect {name}: {parameter} = {value:g}{declared.of_unit} is out of bounds; give"
+                f" {declared.bounds_of_effect}"
             )
         if declared.is_whole and value != round(value):
             raise InputError(f"effect {name}: {parameter} = {value:g} is no whole number; give {round(value)}")
@@ -202,7 +202,7 @@ def _check_companions(rows: Array, name: str) -> None:
     acting = rows[np.any(rows[..., [ROW.index_of(name, switch) for switch in one.switches]], axis=-1)]
     for p in one.parameters:
         if p.lower > 0.0 and not acting[..., ROW.index_of(name, p.name)].all():
-            raise InputError(f"effect {name}: {p.name} is missing; give {p.lower:g} to {p.upper:g} {p.unit}")
+            raise InputError(f"effect {name}: {p.name} is missing; give {p.bounds}")
     for smaller, larger in one.ascending:
         if not (acting[..., ROW.index_of(name, smaller)] < acting[..., ROW.index_of(name, larger)]).all():
             raise InputError(f"effect {name}: {larger} must be larger than {smaller}")
@@ -228,8 +228,5 @@ def _parameters(name: str) -> str:
     """The parameters that an effect has, for the error of one without values."""
     if name not in EFFECTS:
         return ""
-    known = (
-        f"{p.name} ({p.lower:g} to {p.upper:g}{f' {p.unit}' if p.unit != '1' else ''})"
-        for p in EFFECTS[name].parameters
-    )
+    known = (f"{p.name} ({p.bounds})" for p in EFFECTS[name].parameters)
     return f"; {name} has {', '.join(known)}"

@@ -269,7 +269,7 @@ def _check_car(car: Array) -> None:
     """Check that the parameters of a car lie within their bounds. Raises InputError."""
     for p, value in zip(CAR, car.tolist(), strict=True):
         if not p.lower <= value <= p.upper:
-            raise InputError(f"{p.name}: {value:g} {p.unit}; give a value from {p.lower:g} to {p.upper:g}")
+            raise InputError(f"{p.name}: {value:g}{p.of_unit} is out of bounds; give {p.bounds}")
 
 
 def _check_effects(row: Array) -> None:

@@ -5,7 +5,7 @@ A goal that is not reached cannot be seen. So a goal is another driver: the same
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +20,8 @@ THROUGH = "through"
 _EFFECT = "goal_ahead"
 # Comfortable deceleration [m/s^2] of the intelligent driver model, Treiber and Kesting, Traffic Flow Dynamics (2013).
 _COMFORTABLE = 1.5
+# Parameters of a goal. Who brakes less than this [m/s^2] brakes for nothing.
+_PARAMETERS = tuple(replace(p, lower=0.01) if p.name == "deceleration" else p for p in effect(_EFFECT).parameters)
 
 
 @dataclass(frozen=True)
@@ -49,17 +51,17 @@ class Goal:
     def __post_init__(self) -> None:
         if not self.name.isidentifier() or self.name == THROUGH:
             raise InputError(f"goal {self.name!r}: is no name; use letters, digits and underscores, not {THROUGH}")
-        if not self.deceleration > 0.0:
-            raise InputError(f"goal {self.name}: deceleration {self.deceleration:g}: give a number above 0")
-        _ = self.row  # checks the bounds
+        for p in _PARAMETERS:
+            if not p.lower <= (value := getattr(self, p.name)) <= p.upper:
+                raise InputError(f"goal {self.name}: {p.name} {value:g} is not possible; give {p.bounds}")
 
     def check_within(self, first_m: float, last_m: float, speed: float) -> None:
         """Raise InputError if nobody who is seen between two positions [m] slows down for it from a speed [m/s]."""
-        begins_m = self.place - max(speed**2 - self.speed**2, 0.0) / (2.0 * self.deceleration)
-        if not (first_m < self.place and begins_m < last_m):
+        brakes_m = max(speed**2 - self.speed**2, 0.0) / (2.0 * self.deceleration)
+        if not first_m < self.place < last_m + brakes_m:
             raise InputError(
                 f"goal {self.name}: place {self.place:g} m is out of reach: vehicles are seen from {first_m:.0f} to"
-                f" {last_m:.0f} m; give a place ahead of them"
+                f" {last_m:.0f} m; give a place from {first_m + 0.1:.1f} to {last_m + brakes_m - 0.1:.1f} m"
             )
 
     @property
@@ -78,7 +80,7 @@ def read_goal(text: str, where: str) -> Goal:
     name, _, pairs = text.partition(":")
     texts, where = read_pairs(pairs, f"{where} {text}"), f"{where} {text}"
     lane = texts.pop("lane", "")
-    return goal_from(name, {**read_numbers(texts, effect(_EFFECT).parameters, where), "lane": lane})
+    return goal_from(name, {**read_numbers(texts, _PARAMETERS, where), "lane": lane})
 
 
 def goals_from(given: Any) -> tuple[Goal, ...]:
@@ -119,7 +121,7 @@ def goals_of(goals: Sequence[Goal], lane: Sequence[str]) -> Goals:
     for one in goals:
         if one.lane and one.lane not in entries:
             known = f"the lanes are {', '.join(entries)}" if any(entries) else "the tracks name no lanes"
-            raise InputError(f"goal {one.name}: nobody comes in on lane {one.lane}; {known}")
+            raise InputError(f"goal {one.name}: nobody comes in on lane {one.lane}; {known}; give one, or leave it out")
     if len({one.name for one in goals}) < len(goals):
         raise InputError("goals: give each goal a name of its own")
     may = np.array([[True, *(one.lane in ("", here) for one in goals)] for here in lane])

@@ -27,7 +27,7 @@ from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.standard_errors import own_stds, shared_stds
 from sugiyama_ros.laws.registry import LAWS, PAPERS, law, name_of, number_of
 from sugiyama_ros.plugins import FAILED
-from sugiyama_ros.road import LENGTHS_M, PERIODS_S, RINGS_M
+from sugiyama_ros.road import DECISIONS_S, LENGTHS_M, RINGS_M
 
 _FORMAT = 1
 # What a file may say, and what it may say of one driver.
@@ -160,8 +160,8 @@ def drivers_of(file: Path | None, law_name: str, option: Callable[[str], str] = 
 
     option: writes the name of an option for the user. Raises InputError, also for a file and another law at once.
     """
-    law(law_name)
     if file is None:
+        law(law_name)
         row = drive_by(ROW.with_effects(population()), law_name)
         return ModelFile(np.array([-1]), row[None], (), "", "")
     found = read_model(file)
@@ -298,7 +298,7 @@ def read_model(path: Path) -> ModelFile:
     document = read_yaml(path)
     if not isinstance(document, dict) or document.get("sugiyama_model") != _FORMAT:
         raise InputError(
-            f"{path}: is not a model file of format {_FORMAT}; write one with `sugiyama diagnose --output`"
+            f"{path}: is not a model file of format {_FORMAT}; write one with `sugiyama calibrate FILE -o model.yaml`"
         )
     _check_keys(document, _KEYS, str(path))
     drivers = document.get("drivers")
@@ -390,7 +390,7 @@ def _conditions(path: Path, document: Mapping[str, Any], length_m: tuple[float, 
             raise InputError(f"individual: {unknown[0]!r} is not the name of a parameter that is fitted; leave it out")
         return Conditions(
             ring_m=None if ring_m is None else _within(ring_m, "ring_m", (0.0, RINGS_M[1])),
-            decision_period_s=None if period_s is None else _within(period_s, "decision_period_s", PERIODS_S),
+            decision_period_s=None if period_s is None else _within(period_s, "decision_period_s", DECISIONS_S),
             length_m=length_m,
             individual=tuple(individual),
         )

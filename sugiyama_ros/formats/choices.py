@@ -6,12 +6,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.files import number, read_yaml
 from sugiyama_ros.road import Road
 from sugiyama_ros.roads.network import Network
 from sugiyama_ros.trajectories.about import Reference, View
-from sugiyama_ros.trajectories.tracks import FLAGS, NUMBERS, TEXTS
+from sugiyama_ros.trajectories.tracks import FLAGS, NUMBERS, TEXTS, Tracks
 
 #: Columns of a table of tracks.
 COLUMNS = (*TEXTS, *NUMBERS, "leader", *FLAGS)
@@ -45,7 +47,7 @@ class Choices:
     Raises
     ------
     InputError
-        If the circumference is negative or not finite.
+        If the circumference is negative or not finite, or stands beside a road that says itself what it is.
     """
 
     columns: Mapping[str, tuple[str, float]] = field(default_factory=dict)
@@ -56,6 +58,24 @@ class Choices:
 
     def __post_init__(self) -> None:
         Road(self.ring_m or 0.0)
+        if self.ring_m is not None and self.network is not None:
+            raise InputError(f"ring: {self.ring_m:g} m is given beside a road; leave out the ring, or the road file")
+
+    def check_ring(self, tracks: Tracks) -> None:
+        """Raise InputError for a ring that changes nothing: who leads stands in the file, and nobody passes its seam.
+
+        tracks: as they were read, on the ring.
+        """
+        if not self.ring_m:
+            return
+        same = np.diff(tracks.run) == 0
+        steps_m, led = np.diff(tracks.s_m)[same], tracks.leader_row >= 0
+        ways_m = tracks.s_m[tracks.leader_row[led]] - tracks.s_m[led]
+        if np.all(np.abs(steps_m) <= 0.5 * self.ring_m) and np.all(ways_m >= 0.0):
+            raise InputError(
+                f"{tracks.about.source or 'tracks'}: nobody drives once around a ring of {self.ring_m:g} m, or follows"
+                " somebody around it; leave out --ring"
+            )
 
 
 def agreed_ring(path: Path, said_m: float | None, choices: Choices) -> float:

@@ -11,7 +11,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.format import Format
-from sugiyama_ros.formats.reading import checksum_of, shown_name
+from sugiyama_ros.formats.reading import checksum_of, command_for, shown_name
 from sugiyama_ros.formats.sheet import Sheet, head_of, read_sheet
 from sugiyama_ros.trajectories.about import About, Leaders, Reference
 from sugiyama_ros.trajectories.assemble import LATEST_S, assemble
@@ -60,7 +60,7 @@ def read_columns(sheet: Sheet, wanted: Mapping[str, Take], hint: str = "") -> Ro
     if missing:
         there = ", ".join(sheet.names)[:200] or "none"
         line = f":{sheet.header}" if sheet.header and not sheet.is_parquet else ""
-        cure = "say which is which: sugiyama convert --columns map.yaml"
+        cure = f"say which is which: {command_for(sheet.path)} --columns map.yaml"
         if sheet.frame is not None:
             cure = "name them so, as by frame.rename(columns={'old': 'new'})"
         if there.startswith("#"):
@@ -150,6 +150,8 @@ def put_together(
     columns["time_s"], note = _in_seconds(np.asarray(columns["time_s"]))
     about = about.noting(note)
     tracks = assemble(columns, about, choices.reference or reference)
+    if tracks.about.leaders == "given":
+        choices.check_ring(tracks)
     if np.any(np.diff(tracks.start) > 1) and not is_regular(tracks):
         tracks = on_time_base(tracks)
     alone = tracks.runs > len(tracks.recording.used()) and not np.any(tracks.leader_row >= 0)

@@ -20,7 +20,7 @@ from sugiyama_ros.formats.columns import (
     without_nobody,
 )
 from sugiyama_ros.formats.on_road import moved, on_road, without_pedestrians
-from sugiyama_ros.formats.reading import shown_stem
+from sugiyama_ros.formats.reading import command_for, shown_stem
 from sugiyama_ros.formats.sheet import Sheet, head_of, sheet_of, text_sheet
 from sugiyama_ros.roads.network import Network
 from sugiyama_ros.trajectories.about import About
@@ -67,7 +67,7 @@ def _read(sheet: Sheet, choices: Choices) -> Tracks:
     if not is_highd and network is None and sheet.find("leadId") is None:
         raise InputError(
             f"{path}:1: no column leadId: crossings (inD, rounD) have neither lanes nor leaders; convert them with"
-            " their road: sugiyama convert --road-file MAP.osm"
+            f" their road: {command_for(path)} --road-file MAP.osm"
         )
     columns = read_columns(sheet, _HIGHD if is_highd else _EXID if network is None else _ON_ROAD)
     about = about_file(path, leaders="found" if is_highd or network is not None else "given", licence=_LICENCE)

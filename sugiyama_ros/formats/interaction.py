@@ -11,6 +11,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.columns import about_file, fits, need, put_together, read_columns, sheet_format, take
 from sugiyama_ros.formats.on_road import on_road, without_pedestrians
+from sugiyama_ros.formats.reading import command_for
 from sugiyama_ros.formats.sheet import Sheet, text_sheet
 from sugiyama_ros.trajectories.tracks import Tracks
 
@@ -33,8 +34,8 @@ _WANTED = {
 def _read(sheet: Sheet, choices: Choices) -> Tracks:
     if choices.network is None:
         raise InputError(
-            f"{sheet.path}: vehicles in the plane, without lanes; convert them with their road: sugiyama convert"
-            " --road-file MAP.osm"
+            f"{sheet.path}: vehicles in the plane, without lanes; convert them with their road:"
+            f" {command_for(sheet.path)} --road-file MAP.osm"
         )
     columns = read_columns(sheet, _WANTED)
     about = about_file(sheet.path, licence="research use, as granted by interaction-dataset.com")

@@ -4,6 +4,7 @@ import hashlib
 import math
 import os
 import re
+import shlex
 from collections.abc import Iterable, Iterator, Mapping
 from datetime import datetime, timezone
 from io import BufferedReader, RawIOBase
@@ -60,6 +61,11 @@ def why_no_text(head: bytes) -> str:
 def shown_name(path: Path) -> str:
     """Name of a file as text; bytes that are not UTF-8 are written as in \\xe9."""
     return os.fsencode(path.name).decode(errors="backslashreplace")
+
+
+def command_for(path: Path) -> str:
+    """The command, without options, that converts a file to tracks."""
+    return f"sugiyama convert {shlex.quote(str(path))} tracks.parquet"
 
 
 def shown_stem(path: Path) -> str:

@@ -75,7 +75,9 @@ def read_tracks(
         chosen = known["table"] if choices.columns else format_of(paths[0])
     if choices.network is not None and not chosen.takes_road:
         able = ", ".join(one.name for one in formats() if one.takes_road)
-        raise InputError(f"{paths[0]}: a file of the format {chosen.name}, which takes no road; those do: {able}")
+        raise InputError(
+            f"{paths[0]}: a file of the format {chosen.name}, which takes no road; those do: {able}; leave out the road"
+        )
     if choices.reference is not None and not chosen.takes_reference:
         raise InputError(
             f"{paths[0]}: a file of the format {chosen.name}, whose positions are of centres; leave out the reference"

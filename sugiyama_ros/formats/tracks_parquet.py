@@ -32,6 +32,7 @@ def _read_tracks_parquet(path: Path, choices: Choices) -> Tracks:
     # Errors name the file that is read; the tracks keep the name of their source.
     columns = read_sheet(sheet, numbers, names - numbers, infinite=INFINITE)
     tracks = of_columns(dict(columns), replace(about, source=str(path)))
+    choices.check_ring(tracks)
     return replace(tracks, about=replace(tracks.about, source=source_in(shown_name(path), about.source)))
 
 

@@ -63,7 +63,8 @@ def check_same(document: Mapping[str, Any], name: Path | str, trajectories: Dens
         return f"warning: {name}: does not say which recording it is of; a page needs that of {bag}"
     if checksum == trajectories.sha256:
         return ""
-    anew = run_command(document, source, None, bag.with_name(f"{Path(source).stem}_run.mcap"))
+    output = bag.with_name(f"{Path(source).stem}_run.mcap")
+    anew = run_command(document, source, None, output, str(document.get("model_file") or ""))
     raise InputError(
         f"{name}: is a diagnosis of {source}, but {bag} is a run of {trajectories.source or 'another file'}; give a run"
         f" of the same file: {anew}"
@@ -76,15 +77,15 @@ def file_of(document: Mapping[str, Any], source: str) -> str:
     return str(known[0]) if isinstance(known, list) and len(known) == 1 else file_in(source)
 
 
-def run_command(document: Mapping[str, Any] | None, source: str, ring_m: float | None, output: Path) -> str:
+def run_command(document: Mapping[str, Any] | None, source: str, ring_m: float | None, output: Path, model: str) -> str:
     """Return the command that runs a recording, as it can be pasted.
 
-    ring_m: circumference [m] to give, if the diagnosis does not know.
+    ring_m: circumference [m] to give, if the diagnosis does not know; model: file of the model; empty for none.
     """
     if document is not None and file_of(document, ""):
         source, ring_m = file_of(document, source), document.get("ring_m")
     ring = ["--ring", f"{ring_m:.10g}"] if isinstance(ring_m, int | float) and ring_m else []
-    return shlex.join(["sugiyama", "run", source, *ring, "-o", str(output)])
+    return shlex.join(["sugiyama", "run", source, *ring, "-o", str(output), *(["--model", model] if model else [])])
 
 
 def _check(value: Any, wanted: Any, where: str) -> None:
@@ -107,8 +108,9 @@ def _check(value: Any, wanted: Any, where: str) -> None:
     elif get_origin(wanted) is dict:
         _check(value, dict, where)
         for name, one in value.items():
-            if one is not None:  # a number that is not known
-                _check(one, get_args(wanted)[1], f"{where}.{name}")
+            inner = get_args(wanted)[1]
+            if one is not None or inner is not float:  # a number may be unknown
+                _check(one, inner, f"{where}.{name}")
     elif wanted in (float, int):
         if isinstance(value, str) or value is None:
             raise InputError(f"{where[:80]}: is not a number")

@@ -83,7 +83,7 @@ class Addition:
     p_value: float
     heldout_gain_nats: float
     heldout_gain_se: float
-    gains: dict[str, dict[str, float]]
+    gains: dict[str, Difference]
     indistinguishable: list[str]
     advice: list[str]
     closest_effect: dict[str, Any] | None
@@ -222,7 +222,7 @@ def additions(d: Diagnosis) -> list[Addition]:
                     p_value=one.chance.p_values.get(c.mechanism, 1.0),
                     heldout_gain_nats=won.nats,
                     heldout_gain_se=won.se,
-                    gains={name: asdict(value) for name, value in one.gain.items()},
+                    gains=dict(one.gain),
                     indistinguishable=alike,
                     advice=[declared[name] for name in alike if name in declared],
                     closest_effect=_closest(d, one) if not any(c.explains for c in one.new) else None,

@@ -513,8 +513,7 @@ def _commands(r: Recording, d: Document | None) -> list[str]:
     source = named if of_bag else given
     report, run, found = ["sugiyama", "report", str(bag)], [], []
     if "." in source and source != bag.name:
-        command = run_command(None if of_bag else d, source, t.road.circumference_m, bag)
-        run = [f"{command} {shlex.join(['--model', r.model])}" if r.model else command]
+        run = [run_command(None if of_bag else d, source, t.road.circumference_m, bag, r.model)]
     if d is not None:
         file = str(d.get("file") or "diagnosis.json")
         own = ["sugiyama", "diagnose", given or str(bag), "--seed", str(d.get("seed", 0)), "--save", file]

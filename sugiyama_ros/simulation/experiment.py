@@ -1,5 +1,6 @@
 """A simulated experiment: vehicles start from rest, one behind another, on a ring or an open road."""
 
+import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
@@ -12,7 +13,7 @@ from sugiyama_ros.effects.effect import NEEDS, RING
 from sugiyama_ros.effects.needs import check_effect, check_parameter
 from sugiyama_ros.effects.registry import ROW, active, switch_on
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.road import LENGTHS_M, PERIODS_S, Road
+from sugiyama_ros.road import LENGTHS_M, SIMULATED_S, Road
 from sugiyama_ros.simulation.result import Simulation
 from sugiyama_ros.simulation.simulator import Clock, Simulator, evenly, platoon, simulate
 from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M
@@ -70,33 +71,44 @@ class Experiment:
 
     def check(self, vehicles: int) -> None:
         """Check that a number of vehicles can be simulated. Raises InputError."""
+        if not 1 <= vehicles <= MAX_VEHICLES:
+            raise InputError(
+                f"vehicles: {vehicles} cannot be simulated; give 1 or more that have room on the road, and at most"
+                f" {MAX_VEHICLES}"
+            )
         for name, value, lower, upper in (
-            ("vehicles", vehicles, 1, MAX_VEHICLES),
-            ("duration_s", self.duration_s, 0.0, 1e9),
-            ("gap_m", self.gap_m, 0.0, 1e6),
-            ("period_s", self.period_s, *PERIODS_S),
+            ("period_s", self.period_s, *SIMULATED_S),
+            ("gap_m", self.gap_m, 0.01, 1e6),
             ("spread", self.spread, 0.0, 10.0),
         ):
             if not lower <= value <= upper:
                 raise InputError(f"{name}: {value:g} cannot be simulated; give {lower:g} to {upper:g}")
+        longest_s = _rounded_down((MAX_SAMPLES / vehicles - 1.0) * self.period_s)
+        if not 0.0 <= self.duration_s <= longest_s:
+            raise InputError(
+                f"duration_s: {self.duration_s:g} cannot be simulated, for {vehicles} vehicles every"
+                f" {self.period_s:.3g} s; give {longest_s:g} at most"
+            )
         if self.duration_s > 0.0 and self.samples < 2:
             raise InputError(
                 f"period_s: {self.period_s:g} s, but duration_s is {self.duration_s:g} s; give at least 2 samples"
             )
         if self.start not in ("jam", "equal") or (self.start == "equal" and self.ring_m == 0.0):
             raise InputError(f"start: {self.start} is not possible here; give jam, or on a ring equal")
+        if self.start == "equal" and self.gap_m != Experiment.gap_m:
+            raise InputError("gap_m: is for the start in a jam, not with equal gaps all around the ring; leave it out")
         shortest, longest = LENGTHS_M
         if len(self.length_m) not in (0, 1, vehicles) or not all(shortest <= one <= longest for one in self.length_m):
             raise InputError(
                 f"length_m: {len(self.length_m)} lengths of {vehicles} vehicles; give one each, or one for all,"
                 f" {shortest:g} to {longest:g} m"
             )
-        samples = vehicles * (int(self.duration_s / self.period_s) + 1)
-        if samples > MAX_SAMPLES:
-            raise InputError(
-                f"{vehicles} vehicles for {self.duration_s:g} s: {samples} samples are more than {MAX_SAMPLES}; give"
-                " fewer vehicles, a shorter duration or a longer period"
-            )
+
+
+def _rounded_down(value: float) -> float:
+    """A positive number with two digits that count."""
+    digit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return math.floor(value / digit) * digit
 
 
 def set_up(experiment: Experiment, rows: Array, controlled: Controlled | None = None) -> Simulator:
@@ -115,7 +127,7 @@ def set_up(experiment: Experiment, rows: Array, controlled: Controlled | None = 
     if road.is_ring and needed_m > experiment.ring_m:
         raise InputError(
             f"ring of {experiment.ring_m:g} m: {vehicles} vehicles with gaps of {experiment.gap_m:g} m need"
-            f" {needed_m:.0f} m; give a larger ring, smaller gaps or fewer vehicles"
+            f" {math.ceil(needed_m)} m; give a ring of {math.ceil(needed_m)} m or more, or fewer vehicles"
         )
     clock = Clock(experiment.period_s, horizon=experiment.horizon)
     return Simulator(rows, length_m, start_m, road, rng, clock=clock, controlled=controlled)

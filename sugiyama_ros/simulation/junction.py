@@ -185,6 +185,8 @@ class JunctionSimulator:
     def measure(self) -> Array:
         """Measure the places [m] of the vehicles on the network; draws measurement noise."""
         here = self.on_road
+        if not len(here):
+            return np.empty(0)
         return measure(self.place[here], Road(), self._rows[here], self._rng, self._rng_of_effects)
 
     def see(self) -> InView:
@@ -347,8 +349,7 @@ def simulate_junction(simulator: JunctionSimulator, duration_s: float) -> Juncti
         if not len(here) and simulator.entered.all():
             break
         time = np.full(len(here), simulator.time_s)
-        measured = simulator.measure() if len(here) else np.empty(0)
-        parts.append((here, time, measured, simulator.place[here], simulator.speed[here]))
+        parts.append((here, time, simulator.measure(), simulator.place[here], simulator.speed[here]))
         views.append(simulator.see())
         red, _ = signals_at(simulator.network, simulator.time_s)
         moves = not len(here) or red.any() or bool((np.abs(simulator.speed[here]) > 0.5).any())

@@ -1,6 +1,6 @@
 """Several lanes of an open road: vehicles come into view, drive behind one another on their lane, and leave."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,11 +44,8 @@ def simulate_lanes(
     duration_s: duration [s]; view_m: part of the road [m] that is seen. Raises InputError.
     """
     parts: list[dict[str, Array | list[str]]] = []
-    for number, lane in enumerate(lanes, 1):
-        start = platoon(lane.length_m, lane.gap_m)
-        run = simulate(
-            Simulator(lane.parameters, lane.length_m, start - start[-1], Road(), rng, clock=clock), duration_s
-        )
+    for number, (lane, simulator) in enumerate(zip(lanes, _at_start(lanes, rng, clock), strict=True), 1):
+        run = simulate(simulator, duration_s)
         if run.collisions:
             raise InputError(f"simulation: vehicles collide on lane {number}; take another seed, or other drivers")
         position = run.dense.position_m
@@ -71,17 +68,34 @@ def simulate_lanes(
     return of_columns({**texts, **numbers}, about)
 
 
+def _at_start(lanes: Sequence[Lane], rng: np.random.Generator, clock: Clock) -> Iterator[Simulator]:
+    """Put the vehicles of each lane at their start; the first vehicle of all stands at 0 m."""
+    for lane in lanes:
+        start = platoon(lane.length_m, lane.gap_m)
+        yield Simulator(lane.parameters, lane.length_m, start - start[-1], Road(), rng, clock=clock)
+
+
 def alike_lanes(experiment: Experiment, rows: Array, lanes: int, view_m: tuple[float, float]) -> Tracks:
     """Simulate lanes with equally many vehicles of the usual length.
 
     rows: (N, width), rows of the drivers at the reference period, N a multiple of ``lanes``; they stay as they are;
     view_m: part of the road [m] that is seen.
     """
+    lane, rng, clock = _alike(experiment, rows, lanes)
+    return simulate_lanes(lane, experiment.duration_s, rng, view_m=view_m, clock=clock)
+
+
+def set_up_lanes(experiment: Experiment, rows: Array, lanes: int) -> list[Simulator]:
+    """Put the vehicles of ``alike_lanes`` at their start, lane by lane."""
+    return list(_at_start(*_alike(experiment, rows, lanes)))
+
+
+def _alike(experiment: Experiment, rows: Array, lanes: int) -> tuple[list[Lane], np.random.Generator, Clock]:
+    """Lanes with equally many vehicles, the generator of their noises, and their clock."""
     rng, rows = np.random.default_rng(experiment.seed), rows.copy()
     spread_out(rows, experiment.spread, rng)
     each = len(rows) // lanes
     lane = [
         Lane(own, np.full(each, DEFAULT_LENGTH_M), ["car"] * each, experiment.gap_m) for own in np.split(rows, lanes)
     ]
-    clock = Clock(experiment.period_s, horizon=experiment.horizon)
-    return simulate_lanes(lane, experiment.duration_s, rng, view_m=view_m, clock=clock)
+    return lane, rng, Clock(experiment.period_s, horizon=experiment.horizon)

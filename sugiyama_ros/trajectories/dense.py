@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
-from sugiyama_ros.trajectories.about import About, checksum_of_parts
+from sugiyama_ros.trajectories.about import About, checksum_of_parts, file_in
 from sugiyama_ros.trajectories.assemble import Column, assemble
 from sugiyama_ros.trajectories.jumps import jumps_noted
 from sugiyama_ros.trajectories.labels import Labels, numbered
 from sugiyama_ros.trajectories.leaders import LEAST_AGREEMENT, agreement
-from sugiyama_ros.trajectories.time_base import on_time_base, period_of, regular_time_base
+from sugiyama_ros.trajectories.time_base import SHORTEST_S, on_time_base, period_of, regular_time_base
 from sugiyama_ros.trajectories.tracks import LINE, UNKNOWN, Tracks
 
 #: Largest number of samples, including missing samples: vehicles times time steps.
@@ -234,7 +234,7 @@ def dense(tracks: Tracks, where: str = "") -> DenseTracks:
     if samples * regular.runs > min(MAX_SAMPLES, _EMPTIEST * max(len(regular), _FEW_ROWS)):
         raise InputError(
             f"{where}: {regular.runs} vehicles come and go during {samples} samples, which are not one lane with"
-            f" everybody present; cut out a part: sugiyama convert {where} part.parquet --from SECONDS --to SECONDS"
+            f" everybody present; cut out a part: {_part_of(where, 'part.parquet')} --from SECONDS --to SECONDS"
         )
     _check_apart(regular, step, period, where)
     position = np.full((samples, regular.runs), np.nan)
@@ -281,9 +281,12 @@ def whole_road(tracks: Tracks) -> DenseTracks | None:
 def road_of_drivers(tracks: Tracks) -> DenseTracks | None:
     """Tracks as ``whole_road``, if nobody there is controlled: the others then follow vehicles as these were measured.
 
-    Raises InputError as ``whole_road``.
+    What is sampled more often than anybody decides is brought to the usual period, as tracks are. Raises InputError as
+    ``whole_road``.
     """
     road = whole_road(tracks)
+    if road is not None and road.period_s < SHORTEST_S:
+        road = whole_road(on_time_base(tracks))
     return None if road is None or road.controlled else road
 
 
@@ -308,8 +311,13 @@ def _check_one(column: Labels, many: str, option: str, where: str) -> None:
     if len(used) > 1:
         raise InputError(
             f"{where}: {len(used)} {many} ({', '.join(used[:5])}{', ...' * (len(used) > 5)}) where one is needed;"
-            f" choose: sugiyama convert {where} one.parquet --{option} {shlex.quote(used[0])}"
+            f" choose: {_part_of(where, 'one.parquet')} --{option} {shlex.quote(used[0])}"
         )
+
+
+def _part_of(where: str, output: str) -> str:
+    """The command, without its options, that writes a part of a file."""
+    return f"sugiyama convert {shlex.quote(file_in(where))} {output}"
 
 
 def _regular(tracks: Tracks, where: str) -> tuple[Tracks, float, float]:

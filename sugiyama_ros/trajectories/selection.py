@@ -56,6 +56,6 @@ def _is_one_of(column: Labels | None, wanted: tuple[str, ...], option: str) -> M
     used = column.used() if column is not None else ()
     missing = [text for text in wanted if text not in used]
     if column is None or missing:
-        there = f"choose among {', '.join(used[:20])}" if used else "the tracks do not say it"
+        there = f"choose among {', '.join(used[:20])}" if used else "the tracks do not say it; leave it out"
         raise InputError(f"--{option} {missing[0] if missing else wanted[0]}: does not occur; {there}")
     return np.isin(column.code, [column.place(text) for text in wanted])

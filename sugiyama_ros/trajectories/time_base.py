@@ -17,8 +17,8 @@ from sugiyama_ros.trajectories.tracks import FLAGS, NUMBERS, TEXTS, Tracks, star
 _RESAMPLE = "sugiyama convert FILE even.parquet --period SECONDS"
 #: A hole [s] up to which positions are interpolated; a longer hole ends a stretch.
 LONGEST_HOLE_S = 0.5
-# Tracks that are sampled more often than this [s] are brought to `_USUAL_S`.
-_SHORTEST_S, _USUAL_S = 0.06, 0.1
+#: Tracks that are sampled more often than this [s] are brought to `_USUAL_S`.
+SHORTEST_S, _USUAL_S = 0.06, 0.1
 # Part of a period by which a step may miss a multiple of the period.
 _JITTER = 0.1
 # Share of the steps that may miss it, and number of distinct times over the number expected.
@@ -156,11 +156,11 @@ def on_time_base(tracks: Tracks, period_s: float | None = None) -> Tracks:
     period_s: time [s] between two samples; by default the tracks' own, but at least 0.06 s: 25 and 30 Hz become 10 Hz.
     Raises InputError.
     """
-    if period_s is not None and not 0.001 <= period_s <= 60.0:
-        raise InputError(f"period: {period_s:g} s cannot be used; give 0.001 to 60 s")
+    if period_s is not None and not 0.01 <= period_s <= 60.0:
+        raise InputError(f"period: {period_s:g} s cannot be used; give 0.01 to 60 s")
     own, regular = period_of(tracks), is_regular(tracks)
-    wanted = period_s or (_USUAL_S if own < _SHORTEST_S or 0.07 < own < 0.15 else round(own, 2) or own)
-    if regular and (math.isclose(wanted, own, rel_tol=1e-6) or (period_s is None and own >= _SHORTEST_S)):
+    wanted = period_s or (_USUAL_S if own < SHORTEST_S or 0.07 < own < 0.15 else round(own, 2) or own)
+    if regular and (math.isclose(wanted, own, rel_tol=1e-6) or (period_s is None and own >= SHORTEST_S)):
         return tracks
     return resample(tracks, wanted)
 

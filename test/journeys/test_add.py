@@ -97,7 +97,7 @@ def test_a_diagnosis_of_another_recording_is_refused_with_the_run_that_it_needs(
     assert said.code == 2
     (line,) = said.err.splitlines()
     assert "is a diagnosis of ring.csv, but other.mcap is a run of other.csv" in line
-    assert said.steps == ["sugiyama run ring.csv --ring 56 -o ring_run.mcap"]
+    assert said.steps == ["sugiyama run ring.csv --ring 56 -o ring_run.mcap --model model.yaml"]
     assert not (folder / "other.html").exists()
     # a document of before, which does not say what it is of
     document = json.loads((folder / "found.json").read_text())

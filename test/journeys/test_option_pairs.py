@@ -124,6 +124,7 @@ CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
     "info": [
         ("run.mcap", "--ring"),
         ("plane.csv", "no --road-file"),
+        ("--road-file", "--ring"),
         *((file, "--road-file") for file in VALUES["info FILES"] if file != "plane.csv"),
     ],
     "demo": [
@@ -166,6 +167,8 @@ CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
     "calibrate": [
         ("--output old.yaml", "no --overwrite"),
         ("ring.csv", "no --ring", "--formulation paper"),
+        ("tracks.parquet", "--ring"),
+        ("--seed", "no --classes", "no --goal"),
         *(("--formulation paper", name) for name in ("--effects", "--classes", "--goal")),
         *(("--law", name) for name in ("--formulation paper", "--parameters", "--profile", "--classes", "--goal")),
         *(("--effects", name) for name in ("--profile", "--classes", "--goal")),
@@ -206,6 +209,7 @@ CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
         ("own.csv", "no --columns"),
         *((source, "--columns") for source in ("rich.csv", "ring.csv", "ring.mcap", "plane.csv")),
         ("plane.csv", "no --road-file"),
+        ("--road-file", "--ring"),
         *((source, "--road-file") for source in ("rich.csv", "ring.csv", "ring.mcap", "own.csv")),
         *((source, "--format tracks") for source in VALUES["convert SOURCE"] if source != "bag"),
         *((s, "no --odometry", name) for s in ("ring.csv", "ring.mcap", "own.csv") for name in ("--road", "--class")),

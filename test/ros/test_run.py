@@ -266,6 +266,6 @@ def test_a_node_that_is_refused_leaves_the_old_recording(tmp_path: Path) -> None
     """Also with --overwrite."""
     (tmp_path / "out.mcap").write_bytes(b"precious")
     crowded = FromSimulator(22, Experiment(ring_m=60.0, duration_s=5.0))
-    with pytest.raises(SugiyamaError, match="22 vehicles with gaps of 2 m need 137 m"):
+    with pytest.raises(SugiyamaError, match="22 vehicles with gaps of 2 m need 138 m"):
         run(crowded, tmp_path / "out.mcap", overwrite=True)
     assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("out.mcap", b"precious")]

@@ -110,7 +110,7 @@ def test_the_truth_is_what_the_drivers_do(stage) -> None:
         ({"start": "anyhow"}, "give jam, or on a ring equal"),
         ({"start": "equal", "ring": 0.0}, "give jam, or on a ring equal"),
         ({"lengths": [4.0, 5.0]}, "2 lengths of 22 vehicles"),
-        ({"ring": 100.0}, "give a larger ring"),
+        ({"ring": 100.0}, "give a ring of "),
         ({"effects": ["drag"]}, "is not NAME:PARAMETER=VALUE"),
         ({"model": "/nowhere/model.yaml"}, "/nowhere/model.yaml"),
     ],

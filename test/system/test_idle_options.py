@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import sugiyama_ros as sg
 from sugiyama_ros import cli
 from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.cli.simulate import _SimulateOptions
@@ -231,3 +232,49 @@ def test_studies_use_what_they_say():
     for one in STUDIES.values():
         one.check(one.takes)
         assert set(one.takes) <= {"source", "runs", "seed"}
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        ("--vehicles 1 --effect second_leader:weight=0.5", "effect second_leader: changes nothing that anybody"),
+        ("--vehicles 1 --ring 0 --set kappa_d=0.5", "parameter kappa_d: changes nothing that anybody"),
+        ("--effect drag:c0=0", "effect drag: changes nothing that anybody"),
+        ("--effect drag:c0=0.3 --effect external_push:strength=1,time=99,duration=1", "effect external_push: changes"),
+        ("--ring 0 --effect slow_patch:reduction=0.3,centre=9000,width=10", "effect slow_patch: changes nothing"),
+        ("--lanes 2 --effect slow_patch:reduction=0.3,centre=9000,width=10", "effect slow_patch: changes nothing"),
+        ("--scene merge --effect slow_patch:reduction=0.3,centre=9000,width=10", "effect slow_patch: changes nothing"),
+        ("CONTROLLED --set v_star=8", "parameter v_star: changes nothing"),
+        ("CONTROLLED --effect drag:c0=0.3", "effect drag: changes nothing"),
+        ("CONTROLLED --law idm", "law: is for drivers, and a controller drives every vehicle; leave out the law, or"),
+        ("CONTROLLED --spread 0.1", "spread: is for drivers, and a controller drives every vehicle; leave out the s"),
+        ("CONTROLLED --set sigma_nu=0.3", ""),
+        ("--effect slow_patch:reduction=0.3,centre=20,width=10 --set v_star=11 --spread 0.1", ""),
+        ("--scene merge --view 0,100", "--view: is for lanes; give --lanes in place of --scene, or leave it out"),
+        ("--view 0,100", "--view: is for lanes; add --lanes, or leave it out"),
+    ],
+)
+def test_simulate_refuses_what_changes_nothing(words, why, monkeypatch, capfd, tmp_path):
+    every = "--vehicles 3 --controlled 0,1,2 --controller constant_speed:target=3"
+    given = words.replace("CONTROLLED", every).split()
+    vehicles = () if "--vehicles" in given else ("--vehicles", "3")
+    output = tmp_path / "out.csv"
+    argv = ["sugiyama", "simulate", "-o", str(output), "--duration", "10", *vehicles, *given]
+    monkeypatch.setattr(sys, "argv", argv)
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    err = capfd.readouterr().err
+    assert (end.value.code or 0) == (2 if why else 0), err
+    assert output.exists() is not bool(why)
+    if why:
+        assert err.startswith(f"error: {why}")
+        assert len(err.splitlines()) == 1
+
+
+def test_simulate_in_python_refuses_what_changes_nothing():
+    few = {"vehicles": 3, "ring_m": 60.0, "duration_s": 5.0}
+    with pytest.raises(InputError, match=r"^effect external_push: changes nothing that anybody here does"):
+        sg.simulate(**few, effects={"external_push": {"strength": 1.0, "time": 60.0, "duration": 1.0}})
+    with pytest.raises(InputError, match=r"^law: is for drivers"):
+        sg.simulate(**few, law="idm", controlled=[0, 1, 2], controller="constant_speed")
+    sg.simulate(**few, law="idm", controlled=[0, 1], controller="constant_speed")

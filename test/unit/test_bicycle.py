@@ -196,7 +196,7 @@ def test_the_python_interface() -> None:
     for bad, told in (
         ({"heading": turned[:9]}, "heading: has shape"),
         ({"ahead_m": turned[:9]}, "ahead_m: has shape"),
-        ({"parameters": {"l_r": -1.0}}, "l_r: -1 m; give"),
+        ({"parameters": {"l_r": -1.0}}, "l_r: -1 m is out of bounds; give 0 to 10 m"),
         ({"parameters": {"v": 1.0}}, "'v' is not known"),
         ({"heading": gone}, "heading: is infinite at sample 7"),
         ({"ahead_m": gone}, "ahead_m: is infinite at sample 7"),

@@ -341,7 +341,9 @@ def test_bad_values_are_refused_in_one_line():
         switch_on(row, "drag", {"c3": 1.0})
     with pytest.raises(InputError, match=r"effect discovered_force: covariate = 1\.5 is no whole number; give 2"):
         switch_on(ROW.with_effects(defaults()), "discovered_force", {"covariate": 1.5})
-    with pytest.raises(InputError, match="effect reaction_delay: delay = 9 s is out of bounds; give 0 to 2"):
+    with pytest.raises(
+        InputError, match="effect reaction_delay: delay = 9 s is out of bounds; give more than 0, and 2 s"
+    ):
         switch_on(row, "reaction_delay", {"delay": 9.0})
     assert row[ROW.law] == 0.0
     assert ROW.with_effects(defaults())[:COUNT] == pytest.approx(defaults())

@@ -94,10 +94,14 @@ def test_vehicles_in_the_plane_are_put_on_a_road(
 
 def test_a_file_in_the_plane_needs_a_road_and_others_take_none(tmp_path: Path, network: Network) -> None:
     path = interaction(tmp_path, network)
-    with pytest.raises(InputError, match=r"without lanes; convert them with their road: sugiyama convert --road-file"):
+    with pytest.raises(
+        InputError,
+        match=r"without lanes; convert .*: sugiyama convert \S+ tracks.parquet --road-file",
+    ):
         sg.read(path)
     with pytest.raises(
-        InputError, match=r"no column leadId: .*; convert them with their road: sugiyama convert --road-file"
+        InputError,
+        match=r"no column leadId: .*; convert .*: sugiyama convert \S+ tracks.parquet --road-file",
     ):
         sg.read(ind(tmp_path, network))
     table = tmp_path / "table.csv"

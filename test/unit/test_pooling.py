@@ -209,7 +209,7 @@ def test_one_class_with_one_goal_is_the_fit_of_one_driver_for_all(short, work):
         ("exit:place=500,place=600", "place is given twice"),
         ("exit:place=500,lane=1,lane=2", "lane is given twice"),
         ("through:place=500", "is no name"),
-        ("exit:place=500,deceleration=0", "give a number above 0"),
+        ("exit:place=500,deceleration=0", "deceleration is 0; give 0.01 to 10 m/s"),
         ("exit:place=500,speed=900", "speed"),
     ],
 )
