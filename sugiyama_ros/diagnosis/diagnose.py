@@ -419,11 +419,12 @@ def _entered(bench: _Bench, current: Entry, candidate: Candidate, fit: JointFit)
 
 
 def _other_forms(bench: _Bench, current: Entry, found: _Scored, fitted: Sequence[Entry]) -> list[Entry]:
-    """The models with those forms of the first one's mechanism that are not among those fitted."""
+    """The models with those forms of the first one's mechanism that are not among those fitted, and may win."""
     mechanism, tried = fitted[0].added[-1].mechanism, {e.added[-1].name for e in fitted}
-    forms = [own[0].candidate for own in found.by_name.values()]
-    forms = [c for c in forms if c.mechanism == mechanism and c.name not in tried]
-    return [_fitted(bench, current, c, found) for c in forms]
+    forms = [own[0] for own in found.by_name.values() if own[0].candidate.mechanism == mechanism]
+    most = max((one.gain for one in forms), default=0.0)
+    open_ = [one.candidate for one in forms if 2.0 * one.gain >= most and one.candidate.name not in tried]
+    return [_fitted(bench, current, c, found) for c in open_]
 
 
 def _round(bench: _Bench, current: Entry, found: _Scored) -> Round:
