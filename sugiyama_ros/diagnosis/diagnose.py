@@ -581,6 +581,13 @@ def _left(rounds: Sequence[Round], data: Recorded, final: Entry, rivals: Sequenc
         best = min((_gain_of(e, last.current, data) for e in last.gains), key=lambda check: check.p_value)
         name = best.name.replace("gain_of_", "left_for_")
         left.append(replace(best, name=name, p_value=min(1.0, len(last.gains) * best.p_value)))
+    elif last.added is None and last.scores:
+        # nothing was fitted: what the scores promise
+        p_values = last.chance.p_values
+        most = min(last.scores, key=lambda score: (p_values[score.candidate.mechanism], -score.gain))
+        left.append(
+            Check(f"left_for_{most.candidate.name}", most.gain, 0.0, "nats", p_values[most.candidate.mechanism])
+        )
     for one in rounds[: -1 if last.added is None else None]:
         # the best other form of what was added: unseen data may prefer it
         new = one.after.added[-1]

@@ -85,7 +85,8 @@ def check_in_words(d: Document, check: Document) -> str:
     measured, given, p = check_values(check)
     name, title = str(check["name"]), check_title(d, check)
     if name.startswith("left_for_"):
-        return f"{named(d, name.removeprefix('left_for_'))} would still gain {measured} on unseen data ({p})"
+        where = "the fitted data" if d["verdict"].get("asked") else "unseen data"
+        return f"{named(d, name.removeprefix('left_for_'))} would still gain {measured} on {where} ({p})"
     if name.startswith("gain_of_"):
         return f"{_other(d, name.removeprefix('gain_of_'))} gains {measured} more on unseen data ({p})"
     if name.startswith("sign_of_"):
