@@ -574,7 +574,7 @@ def _smallest(first: Round) -> Iterator[dict[str, Any]]:
 
 def _left(rounds: Sequence[Round], data: Recorded, final: Entry, rivals: Sequence[Entry]) -> list[Check]:
     """Checks of what is left: the best candidate of the last round, other forms of what was added, other laws."""
-    last = rounds[-1]
+    last, p_values = rounds[-1], rounds[-1].chance.p_values
     left = []
     if last.added is None and last.gains:
         # of those that were fitted: the one that most probably gains, of so many
@@ -583,11 +583,9 @@ def _left(rounds: Sequence[Round], data: Recorded, final: Entry, rivals: Sequenc
         left.append(replace(best, name=name, p_value=min(1.0, len(last.gains) * best.p_value)))
     elif last.added is None and last.scores:
         # nothing was fitted: what the scores promise
-        p_values = last.chance.p_values
         most = min(last.scores, key=lambda score: (p_values[score.candidate.mechanism], -score.gain))
-        left.append(
-            Check(f"left_for_{most.candidate.name}", most.gain, 0.0, "nats", p_values[most.candidate.mechanism])
-        )
+        c = most.candidate
+        left.append(Check(f"left_for_{c.name}", most.gain, 0.0, "nats", p_values[c.mechanism]))
     for one in rounds[: -1 if last.added is None else None]:
         # the best other form of what was added: unseen data may prefer it
         new = one.after.added[-1]
