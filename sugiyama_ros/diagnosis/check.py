@@ -130,7 +130,7 @@ def _innovations(
         of_squares.append(_mean(np.square(z), driver, block))
         of_products.append(_mean(z[:, 1:] * z[:, :-1], driver[:, 1:], block[:, 1:]))
     yield _spread("spread_of_innovations", of_squares, _ONE_STEP)
-    (value, *_), expected, p = of_products[0], *_against(of_products)
+    (value, *_), expected, p = of_products[0], *as_simulated(of_products)
     yield Check("correlation_of_innovations", value, expected, "1", p, _CORRELATION)
 
 
@@ -158,7 +158,7 @@ def _mean(values: Array, *units: Ints) -> tuple[float, float, int]:
     return mean, max(map(sum_error, parts)) / known.sum() if fewest > 1 else math.inf, fewest
 
 
-def _against(means: Sequence[tuple[float, float, int]]) -> tuple[float, float]:
+def as_simulated(means: Sequence[tuple[float, float, int]]) -> tuple[float, float]:
     """What simulated recordings give for a mean, and how probable the difference is; means: the measured one first."""
     (value, error, units), *own = means
     expected = float(np.mean([mean for mean, *_ in own]))
@@ -168,7 +168,7 @@ def _against(means: Sequence[tuple[float, float, int]]) -> tuple[float, float]:
 
 def _spread(name: str, means: Sequence[tuple[float, float, int]], part: float) -> Check:
     """A check of how large errors are, over what is predicted, from means of their squares."""
-    (value, *_), expected, p = means[0], *_against(means)
+    (value, *_), expected, p = means[0], *as_simulated(means)
     value, expected = math.sqrt(value), math.sqrt(expected)
     return Check(name, value, expected, "1", p, part * expected)
 
