@@ -400,7 +400,7 @@ def _tiles(d: Mapping[str, Any]) -> str:
             text += f"; one car behind its measured leader: {' → '.join(ends)} m"
     tiles = (
         _tile("One step ahead", "error of the next position", "one_step_rmse_m", errors),
-        _tile("Free run, 10 s", text, f"{run}_10s_m", errors),
+        _tile("Free run, 10 s", text, f"{run}_10s_m", errors, _curves(run, errors)),
         _tile_of_checks(d),
     )
     return f'<div class="tiles">{"".join(tiles)}</div>'
@@ -430,7 +430,30 @@ def _short(model: str, is_changed: bool) -> str:
     return model if model == "floor" or (model in MODELS and is_changed) else model_name(model)
 
 
-def _tile(title: str, about: str, key: str, errors: Mapping[str, Any]) -> str:
+def _curves(run: str, errors: Mapping[str, Any]) -> str:
+    """Errors over the time ahead: before, after, the best law, and the floor."""
+    times = {name: float(found[1]) for name in errors["before"] if (found := re.fullmatch(rf"{run}_([\d.]+)s_m", name))}
+    ends = {m: _value(errors, m, f"{run}_10s_m") for m in errors}
+    laws = sorted((m for m in errors if m not in MODELS and m != "floor" and ends[m]), key=lambda m: ends[m] or 0.0)
+    shown = [m for m in (*laws[:1], "floor", "before", "after") if ends.get(m) is not None]
+    if not shown or not times:
+        return ""
+    largest = max(float(_value(errors, m, name) or 0.0) for m in shown for name in times) or 1.0
+    lines = ""
+    for model in shown:
+        values = [(second, _value(errors, model, name)) for name, second in times.items()]
+        places = [(0.0, 0.0), *((second, value) for second, value in values if value is not None)]
+        points = " ".join(f"{10.0 * x:.0f},{40.0 * (1.0 - y / largest):.1f}" for x, y in sorted(places))
+        kind = "law" if model in laws else model
+        lines += f'<polyline class="{kind}" points="{points}"><title>{escape(model_name(model))}</title></polyline>'
+    return (
+        f'<svg class="curves" viewBox="-1 -1 102 42" preserveAspectRatio="none" role="img" aria-label="errors over the'
+        f' time ahead">{lines}</svg>'
+        + _text("from 0 to 10 s ahead: before (grey), after (blue), the best law (dashed), the floor (dotted)", "note")
+    )
+
+
+def _tile(title: str, about: str, key: str, errors: Mapping[str, Any], below: str = "") -> str:
     of = {model: value for model in errors if (value := _value(errors, model, key)) is not None}
     known = [of[model] for model in ("before", "after") if model in of]
     # positions that somebody has smoothed are predicted to the millimetre
@@ -457,7 +480,7 @@ def _tile(title: str, about: str, key: str, errors: Mapping[str, Any]) -> str:
         )
     return (
         f'<div class="tile"><h3>{escape(title)}</h3><p class="number">{number}</p>{_text(about, "note")}'
-        f"<table>{bars}</table></div>"
+        f"<table>{bars}</table>{below}</div>"
     )
 
 

@@ -49,6 +49,11 @@ dt { color: var(--note); } dd { margin: 0; min-width: 0; overflow-wrap: anywhere
 .bar { width: 45%; } div.bar { width: 100%; background: var(--line); border-radius: 3px; }
 .bar i { display: block; height: .75rem; background: #777; border-radius: 3px; min-width: 1px; }
 .after .bar i, div.bar i { background: var(--blue); }
+.curves { display: block; width: 100%; height: 4.5rem; margin-top: .5rem; border-left: 1px solid var(--line);
+  border-bottom: 1px solid var(--line); }
+.curves polyline { fill: none; stroke: #777; stroke-width: 2; vector-effect: non-scaling-stroke; }
+.curves .after { stroke: var(--blue); } .curves .law { stroke-dasharray: 6 4; }
+.curves .floor { stroke-dasharray: 2 4; }
 .before td:first-child, .after td:first-child { font-weight: 600; }
 nav { position: sticky; top: 0; z-index: 5; display: flex; flex-wrap: wrap; align-items: center; gap: .2rem .9rem;
   background: var(--back); border-bottom: 1px solid var(--line); padding: .3rem 0; margin-top: .8rem; }

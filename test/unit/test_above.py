@@ -1,5 +1,6 @@
 """A scene from above on the page: the lanes, and each vehicle on its own way."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from sugiyama_ros.driver.parameters import defaults
 from sugiyama_ros.page.panels.base import Chosen
 from sugiyama_ros.page.panels.measured import ring
 from sugiyama_ros.page.recording import Recording
-from sugiyama_ros.page.report import _tile
+from sugiyama_ros.page.report import _curves, _tile
 from sugiyama_ros.simulation.scenes import simulate_scene
 
 
@@ -53,3 +54,14 @@ def test_a_tile_says_which_laws_have_smaller_errors():
     )
     errors["idm"]["e"] = 0.7
     assert "another law" not in _tile("Free run", "error", "e", errors)
+
+
+def test_the_tile_draws_errors_over_the_time_ahead_of_the_best_law_alone():
+    ends = {"before": 4.0, "after": 2.0, "idm": 3.0, "gipps": 8.0, "floor": 1.0}
+    errors = {
+        m: {"free_run_5s_m": 0.5 * end, "free_run_10s_m": end, "free_run_10s_crps_m": end} for m, end in ends.items()
+    }
+    lines = re.findall(r'class="(\w+)" points="([^"]*)"><title>([^<]*)<', _curves("free_run", errors))
+    assert [kind for kind, *_ in lines] == ["law", "floor", "before", "after"]
+    assert lines[0][2] == "IDM"
+    assert lines[2][1] == "0,40.0 50,20.0 100,0.0"
