@@ -23,7 +23,7 @@ from sugiyama_ros.diagnosis.candidates import FORCE, Candidate, candidates, chos
 from sugiyama_ros.diagnosis.chance import Chance, chance_of
 from sugiyama_ros.diagnosis.check import Check, checks, judged
 from sugiyama_ros.diagnosis.forecast import HORIZONS_S, driven, forecasts
-from sugiyama_ros.diagnosis.refine import refined, without, without_folds
+from sugiyama_ros.diagnosis.refine import begun, finished, refined, without, without_folds
 from sugiyama_ros.diagnosis.score import Direction, Score, directions, scores
 from sugiyama_ros.diagnosis.table import Difference, Entry, errors
 from sugiyama_ros.diagnosis.where import Located, locate
@@ -402,16 +402,13 @@ def _told(bench: _Bench, first: Entry, found: _Scored, names: Sequence[str]) -> 
 
 def _fitted(bench: _Bench, current: Entry, candidate: Candidate, found: _Scored) -> Entry:
     """The model with a candidate."""
-    return _entered(bench, current, candidate, _refined(bench, current, candidate, found))
+    first = begun(bench.data, current.fit, candidate, found.by_name.get(candidate.name, ()), bench.work)
+    return _finished(bench, current, candidate, first)
 
 
-def _refined(bench: _Bench, current: Entry, candidate: Candidate, found: _Scored) -> JointFit:
-    """The fit with a candidate."""
-    return refined(bench.data, current.fit, candidate, found.by_name.get(candidate.name, ()), bench.work)
-
-
-def _entered(bench: _Bench, current: Entry, candidate: Candidate, fit: JointFit) -> Entry:
-    """The model with a candidate, from its fit."""
+def _finished(bench: _Bench, current: Entry, candidate: Candidate, first: JointFit) -> Entry:
+    """The model with a candidate, after the first steps of its fit."""
+    fit = finished(bench.data, current.fit, candidate, first, bench.work)
     added = (*current.added, candidate)
     if fit is current.fit:  # nothing was found
         return Entry(candidate.name, added, fit, current.models, current.forecasts)
@@ -430,15 +427,16 @@ def _other_forms(bench: _Bench, current: Entry, found: _Scored, fitted: Sequence
 def _round(bench: _Bench, current: Entry, found: _Scored) -> Round:
     """Fit the candidates with the best scores beside a model, and choose."""
     won: dict[Entry, dict[str, Difference]] = {}
-    fits = {}
+    first_steps = {}
     for number, candidate in enumerate(found.worth):
         bench.on_progress(f"round {len(current.added) + 1}: fitting", number, len(found.worth))
-        fits[candidate] = _refined(bench, current, candidate, found)
-    for candidate, fit in fits.items():
+        near = found.by_name.get(candidate.name, ())
+        first_steps[candidate] = begun(bench.data, current.fit, candidate, near, bench.work)
+    for candidate, fit in first_steps.items():
         # of each kind, what raises the likelihood by less than half of the most cannot win any more
-        most = max(other.objective for c, other in fits.items() if c.rank == candidate.rank)
+        most = max(other.objective for c, other in first_steps.items() if c.rank == candidate.rank)
         if 2.0 * (fit.objective - current.fit.objective) >= most - current.fit.objective:
-            entry = _entered(bench, current, candidate, fit)
+            entry = _finished(bench, current, candidate, fit)
             won[entry] = entry.over(bench.data, current)
     # of the best mechanism, all forms: what only some drivers seem to have, all of them may have as well
     if won:

@@ -18,25 +18,38 @@ from sugiyama_ros.fit.slopes import no_density
 
 # Places of what happens once, in one car at one moment.
 _ONCE = range(ROW.width)[ROW.places[PUSH]]
-# Steps of a fit without a fold, which is near.
+# First steps of a fit, which show what it may gain, and steps of a fit without a fold, which is near.
+_FIRST_STEPS = 3
 _STEPS_WITHOUT = 3
 
 
 def refined(data: Recorded, fitted: JointFit, candidate: Candidate, found: Sequence[Score], work: Executor) -> JointFit:
-    """Add a candidate to a fitted model, and fit the new model in full.
+    """Add a candidate to a fitted model, and fit the new model in full; the fitted model itself, as of ``finished``."""
+    return finished(data, fitted, candidate, begun(data, fitted, candidate, found, work), work)
 
-    Where the candidate does nothing, or does not make the model better, the fitted model itself is returned.
-    """
+
+def begun(data: Recorded, fitted: JointFit, candidate: Candidate, found: Sequence[Score], work: Executor) -> JointFit:
+    """Add a candidate to a fitted model, and take the first steps from the best start."""
     # another start of what some drivers have would be of other drivers
     near = [one for one in found[:2] if one.candidate.drivers == candidate.drivers]
     tried = [model for one in near for model in _starts(fitted.model, one)]
     tried = tried or [with_candidate(fitted.model, candidate, start) for start in candidate.starts]
     there = [_beside(data, fitted, model, work) for model in tried]
-    start = max(there, key=lambda one: one.objective)
-    found_there = _maximised(data, start, work)
-    if _does_nothing(data, found_there.model, candidate) or found_there.objective <= fitted.objective:
+    start = renewed(data.roughly, max(there, key=lambda one: one.objective), work)
+    return maximise(data.roughly, start, work, iterations=_FIRST_STEPS, renewals=0)
+
+
+def finished(data: Recorded, fitted: JointFit, candidate: Candidate, first: JointFit, work: Executor) -> JointFit:
+    """Fit a model with a candidate in full after its first steps; then the drivers ahead get the parameters found.
+
+    Where the candidate does nothing, or does not make the model better, the fitted model itself is returned.
+    """
+    found = maximise(data.roughly, first, work, renewals=2, fresh=False)
+    found = at_model(data, found, replace(found.model, ahead=found.model.rows), work)
+    found = maximise(data, found, work, iterations=_STEPS_WITHOUT, renewals=0, fresh=False)
+    if _does_nothing(data, found.model, candidate) or found.objective <= fitted.objective:
         return fitted
-    return replace(found_there, beside=fitted if start.model.held else None)
+    return replace(found, beside=fitted if first.model.held else None)
 
 
 def _does_nothing(data: Recorded, model: Model, candidate: Candidate) -> bool:
@@ -58,13 +71,6 @@ def with_named(data: Recorded, fitted: JointFit, names: Sequence[str], work: Exe
         own = sorted((s for s in found if s.candidate.name == candidate.name), key=lambda s: -s.gain)
         fitted = refined(data, fitted, candidate, own, work)
     return fitted
-
-
-def _maximised(data: Recorded, start: JointFit, work: Executor) -> JointFit:
-    """The full fit from a start; then the drivers ahead get the parameters that were found for them."""
-    found = maximise(data.roughly, renewed(data.roughly, start, work), work, renewals=2)
-    found = at_model(data, found, replace(found.model, ahead=found.model.rows), work)
-    return maximise(data, found, work, iterations=_STEPS_WITHOUT, renewals=0, fresh=False)
 
 
 def without_folds(data: Recorded, fitted: JointFit, work: Executor, beside: Sequence[Model] = ()) -> tuple[Model, ...]:
