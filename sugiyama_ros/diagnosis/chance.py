@@ -54,11 +54,7 @@ def chance_of(
     seed: int,
     drawn: dict[Score, tuple[float, Array]] | None = None,
 ) -> Chance:
-    """Return what chance gives in the scores of a recording.
-
-    simulated: scores of simulated recordings; drawn: filled with what each score gives that no simulation has, and used
-    if it is there.
-    """
+    """Return what chance gives in scores; simulated: those of simulated recordings; drawn: kept for the next call."""
     drawn = {} if drawn is None else drawn
     shifts = [{_key(one): one for one in each} for each in simulated]
     # what was chosen among many places has one block, and everything else those of the recording

@@ -46,7 +46,7 @@ _COLLECTIVE = {
 }
 # The same for a bias in standard deviations of one step, for the correlation from one step to the next, and, as part of
 # what the model gives, for how large errors are: one step ahead, which many samples say, and after some seconds.
-_BIAS, _CORRELATION, _ONE_STEP, _RUNS = 0.1, 0.1, 0.1, 0.25
+_BIAS, _CORRELATION, _ONE_STEP, _RUNS = 0.05, 0.1, 0.1, 0.25
 
 
 @dataclass(frozen=True)
@@ -147,10 +147,7 @@ def _normal(data: Recorded, samples: PointwiseDensity) -> Array:
 
 
 def _mean(values: Array, *units: Ints) -> tuple[float, float, int]:
-    """Mean of what is known, its standard error, and the number of units.
-
-    units: ways to divide the values into parts that do not depend on one another, of which the worst one counts.
-    """
+    """Mean of what is known, its standard error by the worst way to divide values into units, and the fewest units."""
     known = np.isfinite(values)
     mean = float(values[known].mean()) if known.any() else math.nan
     parts = [np.bincount(np.unique(unit[known], return_inverse=True)[1], values[known] - mean) for unit in units]

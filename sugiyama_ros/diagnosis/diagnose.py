@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 #: What the diagnosis concludes.
 Outcome = Literal["adequate", "explained", "not_explained"]
-# Number of candidates that are fitted in a round: the truth has been the fifth by its score, never the sixth.
+# Number of forces, moods and noises that are fitted in a round.
 _FITTED = 5
 
 
@@ -337,9 +337,9 @@ class _Scored:
     def worth(self) -> list[Candidate]:
         """What is worth a fit: the best of what chance rarely shows."""
         open_ = [one.candidate for one in self.best if self.chance.p_values[one.candidate.mechanism] < ALPHA]
-        acting = [c for c in open_ if c.rank == 0][:_FITTED]
         # the score of freed constants says little: they respond to whatever is missing, far from where they start
-        return [c for c in open_ if c in acting or c in open_[:_FITTED] or (c.kind == "constants" and not c.switches)]
+        is_free = [c.kind == "constants" and not c.switches for c in open_]
+        return [c for k, c in enumerate(open_) if c.rank == 0 or k < _FITTED or is_free[k]]
 
 
 def _scored(bench: _Bench, fit: JointFit, rounds: Sequence[Round] = ()) -> _Scored:
@@ -361,17 +361,14 @@ def _scored(bench: _Bench, fit: JointFit, rounds: Sequence[Round] = ()) -> _Scor
     every = [one for own in by_name.values() for one in own]
     drawn: dict[Score, tuple[float, Array]] = {}
     found = _Scored(by_name, chance_of(every, [], bench.seed, drawn))
-    if not found.chance.shows_something:
-        return found
     # what the filter's approximations do must be known only of what would be fitted
-    there: list[list[Score]] = [[] for _ in bench.simulated(fit)]
+    there: list[list[Score]] = [[] for _ in range(bench.simulations)]
     known = set()
     while new := {c.mechanism for c in found.worth} - known:
         asked = [c for c in left if c.mechanism in new]
         for own, (data, again) in zip(there, bench.simulated(fit), strict=True):
-            own += scores(
-                data, again, list(directions(data, again, asked, bench.work, with_forces=FORCE in new)), bench.work
-            )
+            along = list(directions(data, again, asked, bench.work, with_forces=FORCE in new))
+            own += scores(data, again, along, bench.work)
         found, known = _Scored(by_name, chance_of(every, there, bench.seed, drawn)), known | new
     return found
 
@@ -407,12 +404,10 @@ def _fitted(bench: _Bench, current: Entry, candidate: Candidate, found: _Scored)
 
 
 def _finished(bench: _Bench, current: Entry, candidate: Candidate, first: JointFit) -> Entry:
-    """The model with a candidate, after the first steps of its fit."""
+    """The model with a candidate, after the first steps of its fit; the current one where nothing was found."""
     fit = finished(bench.data, current.fit, candidate, first, bench.work)
-    added = (*current.added, candidate)
-    if fit is current.fit:  # nothing was found
-        return Entry(candidate.name, added, fit, current.models, current.forecasts)
-    return bench.entry(candidate.name, added, fit, current.models)
+    found = replace(current, name=candidate.name, added=(*current.added, candidate))
+    return found if fit is current.fit else bench.entry(found.name, found.added, fit, current.models)
 
 
 def _other_forms(bench: _Bench, current: Entry, found: _Scored, fitted: Sequence[Entry]) -> list[Entry]:
@@ -512,14 +507,15 @@ def _best(bench: _Bench, current: Entry, won: dict[Entry, dict[str, Difference]]
 
     Among models that cannot be told apart, what changes how drivers act goes before freed constants, forces and moods,
     and these before noises: whatever else is missing shows in them, too. Then, what all drivers have goes before what
-    some have.
+    some have, and what gains most before the rest; of what is rare, one step ahead.
     """
     allowed = _allowed(bench, current, won)
     if not allowed:
         return None, []
     first = allowed[0]
     alike = [e for e in won if e is first or not first.over(bench.data, e)["all"].is_clear]
-    order = sorted(alike, key=lambda e: (e.added[-1].rank, bool(e.added[-1].drivers), -won[e]["all"].nats))
+    won_by = {e: won[e]["one_step" if e.added[-1].is_rare else "all"].nats for e in alike}
+    order = sorted(alike, key=lambda e: (e.added[-1].rank, bool(e.added[-1].drivers), -won_by[e]))
     best = next((e for e in order if e in allowed and _is_away(bench, e, e.added[-1])), None)
     return best, [e for e in alike if e is not best]
 

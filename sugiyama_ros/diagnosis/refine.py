@@ -24,7 +24,7 @@ _STEPS_WITHOUT = 3
 
 
 def refined(data: Recorded, fitted: JointFit, candidate: Candidate, found: Sequence[Score], work: Executor) -> JointFit:
-    """Add a candidate to a fitted model, and fit the new model in full; the fitted model itself, as of ``finished``."""
+    """Add a candidate to a fitted model, and fit the new model in full, as of ``finished``."""
     return finished(data, fitted, candidate, begun(data, fitted, candidate, found, work), work)
 
 
