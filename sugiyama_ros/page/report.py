@@ -438,6 +438,8 @@ def _curves(run: str, errors: Mapping[str, Any]) -> str:
     shown = [m for m in (*laws[:1], "floor", "before", "after") if ends.get(m) is not None]
     if not shown or not times:
         return ""
+    law, looks = laws[:1], {"before": "grey", "after": "blue", "floor": "dotted"}
+    said = [f"{_short(m, True)} ({'dashed' if m in law else looks[m]})" for m in reversed(shown)]
     largest = max(float(_value(errors, m, name) or 0.0) for m in shown for name in times) or 1.0
     lines = ""
     for model in shown:
@@ -448,8 +450,7 @@ def _curves(run: str, errors: Mapping[str, Any]) -> str:
         lines += f'<polyline class="{kind}" points="{points}"><title>{escape(model_name(model))}</title></polyline>'
     return (
         f'<svg class="curves" viewBox="-1 -1 102 42" preserveAspectRatio="none" role="img" aria-label="errors over the'
-        f' time ahead">{lines}</svg>'
-        + _text("from 0 to 10 s ahead: before (grey), after (blue), the best law (dashed), the floor (dotted)", "note")
+        f' time ahead">{lines}</svg>' + _text(f"from 0 to {max(times.values()):g} s ahead: {', '.join(said)}", "note")
     )
 
 
