@@ -3,8 +3,9 @@
 import dataclasses
 import math
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from datetime import datetime, timezone
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -167,6 +168,7 @@ def _selection(options: _ConvertOptions) -> "Selection":
 
 
 def _print_tracks(document: dict[str, Any]) -> None:
+    print_line(f"{'Format:':<13}{document['format']}")
     for key, value in _lines_of(document):
         print_line(f"{key + ':':<13}{value}")
     if document["dropped"]:
@@ -219,17 +221,20 @@ def info(
         from sugiyama_ros.formats.roads import read_road
 
         choices = dataclasses.replace(choices, network=read_road(road_file))
-    documents = []
-    for number, file in enumerate(files):
-        if number and not as_json:
-            print_line("")
-        documents.append(_info(file, choices, as_json))
+    # a file that is refused is told before anything is printed of the others
+    described = [_described(file, choices) for file in files]
+    documents = [document for document, _ in described]
     if as_json:
         print_json(documents if len(documents) > 1 else documents[0])
+        return
+    for number, (_, show) in enumerate(described):
+        if number:
+            print_line("")
+        show()
 
 
-def _info(file: Path, choices: "Choices", as_json: bool) -> dict[str, Any]:
-    """Describe one file as a document; print it, unless a document is wanted."""
+def _described(file: Path, choices: "Choices") -> tuple[dict[str, Any], Callable[[], None]]:
+    """Describe one file as a document, and with what prints it."""
     from sugiyama_ros.formats.measured import FORMAT as BAG
     from sugiyama_ros.formats.sheet import head_of
 
@@ -237,10 +242,7 @@ def _info(file: Path, choices: "Choices", as_json: bool) -> dict[str, Any]:
         from sugiyama_ros.formats.registry import format_of, read_tracks
 
         document = {"format": format_of(file).name, **_document_of(read_tracks(file, choices))}
-        if not as_json:
-            print_line(f"{'Format:':<13}{document['format']}")
-            _print_tracks(document)
-        return document
+        return document, partial(_print_tracks, document)
     from sugiyama_ros.formats.mcap_reader import Bag
 
     for option, given in (("--ring", choices.ring_m), ("--road-file", choices.network)):
@@ -248,13 +250,16 @@ def _info(file: Path, choices: "Choices", as_json: bool) -> dict[str, Any]:
             raise InputError(f"{option}: a bag says itself which road it is about; leave out {option}")
     with Bag(file) as bag:
         about = bag.info()
-    if not as_json:
-        for key, value in _lines(about):
-            print_line(f"{key + ':':<13}{value}")
-        rows = tuple((t.name, t.type, str(t.count), t.reliability, t.durability) for t in about.topics)
-        headings = ("topic", "type", "messages", "reliability", "durability")
-        print_table(TextTable("", headings, rows, left=len(headings)), boxed=False)
-    return dataclasses.asdict(about)
+    return dataclasses.asdict(about), partial(_print_bag, about)
+
+
+def _print_bag(about: "BagInfo") -> None:
+    """Print what a bag contains."""
+    for key, value in _lines(about):
+        print_line(f"{key + ':':<13}{value}")
+    rows = tuple((t.name, t.type, str(t.count), t.reliability, t.durability) for t in about.topics)
+    headings = ("topic", "type", "messages", "reliability", "durability")
+    print_table(TextTable("", headings, rows, left=len(headings)), boxed=False)
 
 
 def _lines(about: "BagInfo") -> list[tuple[str, str]]:

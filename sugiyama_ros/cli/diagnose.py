@@ -28,7 +28,7 @@ from sugiyama_ros.cli.options import (
 from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, print_warnings
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.laws import PAPERS
-from sugiyama_ros.progress import stages
+from sugiyama_ros.progress import OnStage, stages
 from sugiyama_ros.results import plain, to_json
 
 if TYPE_CHECKING:
@@ -91,10 +91,10 @@ def diagnose(options: _DiagnoseOptions) -> None:
     law(options.law)
     recording = read_tracks(options.sources, Choices(ring_m=options.ring))
     print_warnings(recording)
-    print_note(f"diagnosing {recording.headline()}")
     most = None if options.add else FEW_STEPS
     settings = {"add": add, "most": most, "law": options.law, "seed": options.seed, "simulations": options.simulations}
-    with stages() as advance, helpers(options.scheduler) as workers:
+    with stages() as shown, helpers(options.scheduler) as workers:
+        advance = _saying(f"diagnosing {recording.headline()}", shown)
         if isinstance(workers, int):
             found = _found(recording, workers=workers, on_progress=advance, **settings)
         else:
@@ -162,6 +162,18 @@ def _bag_for(source: Path) -> Path:
     return next(bag for bag in bags if not bag.exists() and not bag.with_suffix(".html").exists())
 
 
+def _saying(line: str, advance: OnStage) -> OnStage:
+    """Progress that says first what is worked on, once a recording is accepted: a refusal is one line."""
+    left = [line]
+
+    def said(what: str, done: int, total: int) -> None:
+        while left:
+            print_note(left.pop())
+        advance(what, done, total)
+
+    return said
+
+
 def _print_next(found: Mapping[str, Any], options: _DiagnoseOptions) -> None:
     """Say what to do next, as commands that can be pasted."""
     from sugiyama_ros.api import FEW_STEPS
@@ -223,8 +235,8 @@ def compare(options: _CompareOptions) -> None:
     given = read_model(options.model) if options.model is not None else None
     recording = read_tracks(options.sources, Choices(ring_m=options.ring))
     print_warnings(recording)
-    print_note(f"comparing models on {recording.headline()}")
-    with stages() as advance, helpers(options.scheduler) as workers:
+    with stages() as shown, helpers(options.scheduler) as workers:
+        advance = _saying(f"comparing models on {recording.headline()}", shown)
         compared = compare_models(
             recording, names(options.effects), given, seed=options.seed, workers=workers, on_progress=advance
         )

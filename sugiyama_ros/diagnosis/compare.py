@@ -185,8 +185,12 @@ def compare(
         check_given(model)
     with here_or_there(workers) as (work, cluster):
         steps = 3 + len(RIVALS) + (model is not None) + bool(effects)
+        as_in_file = None if model is None else prepare_for(recording, model)
+        data = prepare(recording) if as_in_file is None else as_in_file
         on_progress("fitting the base model", 0, steps)
-        data, base = _base(recording, model, work)
+        data, base = base_model(data, work)
+        if as_in_file is None:
+            data, base = with_more_decisions(recording, data, base, work) or (data, base)
         sent = send(cluster, _law_there, (data, seed), RIVALS) if cluster is not None else []
         found = [_fitted("base", "base", data, base, seed, work)]
         on_progress("the base model with effects", 1, steps)
@@ -220,14 +224,6 @@ def _held_out(
 ) -> Compared:
     """Models of all folds; ``whole``: what simulates the road, if it is to be simulated."""
     return Compared(name, kind, forecasts(data, models, work), {}, _of_road(data, whole, seed, work))
-
-
-def _base(recording: Tracks, model: ModelFile | None, work: ThreadPoolExecutor) -> tuple[Recorded, JointFit]:
-    """The recording with the base model; drivers decide as often as those of a model file, if it says how often."""
-    if model is not None and (as_in_file := prepare_for(recording, model)) is not None:
-        return base_model(as_in_file, work)
-    data, base = base_model(prepare(recording), work)
-    return with_more_decisions(recording, data, base, work) or (data, base)
 
 
 def _of_file(

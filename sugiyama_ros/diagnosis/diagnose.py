@@ -272,8 +272,9 @@ def diagnose(
     """
     began = time.monotonic()
     with ThreadPoolExecutor(workers) as work:
+        data = prepare(recording)
         on_progress("fitting the base model", 0, 1)
-        data, base = base_model(prepare(recording), work, law)
+        data, base = base_model(data, work, law)
         bench = _Bench(data, simulations, seed, work, on_progress)
         found = _scored(bench, base)
         is_open = found.chance.shows_something

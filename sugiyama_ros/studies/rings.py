@@ -76,7 +76,7 @@ def run(ring: Ring) -> Simulation:
     experiment = Experiment(
         ring.ring_m,
         ring.duration_s,
-        ring.jam_gap_m,
+        ring.jam_gap_m if ring.jammed else Experiment.gap_m,
         ring.period_s,
         seed=ring.seed,
         start="jam" if ring.jammed else "equal",

@@ -125,6 +125,7 @@ CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
         ("run.mcap", "--ring"),
         ("plane.csv", "no --road-file"),
         ("--road-file", "--ring"),
+        *((file, "--ring") for file in ("tracks.parquet", "ring.csv tracks.parquet")),
         *((file, "--road-file") for file in VALUES["info FILES"] if file != "plane.csv"),
     ],
     "demo": [
@@ -137,6 +138,7 @@ CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
     "run": [
         ("--output old.mcap", "no --overwrite"),
         ("ring.csv", "no --ring"),
+        ("tracks.parquet", "--ring"),
         ("--law", "--engine filterpy"),
         ("--law", "--model"),
         ("--save-state state", "no --overwrite"),
@@ -180,6 +182,7 @@ CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
         ("--output old.yaml", "no --overwrite"),
         ("--save old.json", "no --overwrite"),
         ("ring.csv", "no --ring"),
+        ("tracks.parquet", "--ring"),
     ],
     "study": [
         ("--output old.pdf", "no --overwrite"),
@@ -191,9 +194,14 @@ CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
         ("no SOURCE", "--ring"),
         *((name, "no SOURCE") for name in ("measured", "simulated", "order")),
     ],
-    "compare": [("ring.csv", "no --ring")],
+    "compare": [("ring.csv", "no --ring"), ("tracks.parquet", "--ring")],
     "report": [("--output old.html", "no --overwrite")],
-    "live": [("--output old.mcap", "no --overwrite"), ("ring.csv", "no --ring"), ("--law", "--model")],
+    "live": [
+        ("--output old.mcap", "no --overwrite"),
+        ("ring.csv", "no --ring"),
+        ("tracks.parquet", "--ring"),
+        ("--law", "--model"),
+    ],
     "recover": [("--output old.mcap", "no --overwrite")],
     "convert": [
         ("old.mcap", "no --overwrite"),
