@@ -168,7 +168,8 @@ def _selection(options: _ConvertOptions) -> "Selection":
 
 
 def _print_tracks(document: dict[str, Any]) -> None:
-    print_line(f"{'Format:':<13}{document['format']}")
+    if "format" in document:
+        print_line(f"{'Format:':<13}{document['format']}")
     for key, value in _lines_of(document):
         print_line(f"{key + ':':<13}{value}")
     if document["dropped"]:

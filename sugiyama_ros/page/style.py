@@ -49,7 +49,7 @@ dt { color: var(--note); } dd { margin: 0; min-width: 0; overflow-wrap: anywhere
 .bar { width: 45%; } div.bar { width: 100%; background: var(--line); border-radius: 3px; }
 .bar i { display: block; height: .75rem; background: #777; border-radius: 3px; min-width: 1px; }
 .after .bar i, div.bar i { background: var(--blue); }
-.curves { display: block; width: 100%; height: 4.5rem; margin-top: .5rem; border-left: 1px solid var(--line);
+.curves { display: block; width: 100%; height: 2.5rem; margin-top: .3rem; border-left: 1px solid var(--line);
   border-bottom: 1px solid var(--line); }
 .curves polyline { fill: none; stroke: #777; stroke-width: 2; vector-effect: non-scaling-stroke; }
 .curves .after { stroke: var(--blue); } .curves .law { stroke-dasharray: 6 4; }
@@ -67,7 +67,7 @@ table { border-collapse: collapse; } section tr { border-bottom: 1px solid var(-
 section td, section th { padding: .15rem .8rem .15rem 0; text-align: right; vertical-align: top; }
 section td:first-child, section th:first-child, section .left td, section .left th { text-align: left; }
 @media (max-width: 1099px) { .row, .row.ring { grid-auto-flow: row; grid-template-columns: minmax(0, 1fr); }
-  .tile .number { font-size: 1.05rem; } .bar { min-width: 3rem; }
+  .tile .number { font-size: 1.05rem; } .bar { min-width: 3rem; } .curves, .curves + p { display: none; }
   .card { grid-template-columns: minmax(0, 1fr); gap: .7rem; } .card > *, .tile { padding: .5rem .6rem; }
   .card .tiles { gap: .7rem; } .what { grid-template: auto auto minmax(20px, 1fr) / 1fr 1.3fr; gap: 0 1rem; }
   .card img { grid-area: 1 / 2 / 4 / 3; min-height: 110px; } }
