@@ -1,7 +1,7 @@
 """Comparison of models on the same held-out samples: the base model, what somebody adds or gives, and other laws."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
@@ -185,12 +185,7 @@ def compare(
         check_given(model)
     with here_or_there(workers) as (work, cluster):
         steps = 3 + len(RIVALS) + (model is not None) + bool(effects)
-        as_in_file = None if model is None else prepare_for(recording, model)
-        data = prepare(recording) if as_in_file is None else as_in_file
-        on_progress("fitting the base model", 0, steps)
-        data, base = base_model(data, work)
-        if as_in_file is None:
-            data, base = with_more_decisions(recording, data, base, work) or (data, base)
+        data, base = _base(recording, model, work, lambda: on_progress("fitting the base model", 0, steps))
         sent = send(cluster, _law_there, (data, seed), RIVALS) if cluster is not None else []
         found = [_fitted("base", "base", data, base, seed, work)]
         on_progress("the base model with effects", 1, steps)
@@ -224,6 +219,19 @@ def _held_out(
 ) -> Compared:
     """Models of all folds; ``whole``: what simulates the road, if it is to be simulated."""
     return Compared(name, kind, forecasts(data, models, work), {}, _of_road(data, whole, seed, work))
+
+
+def _base(
+    recording: Tracks, model: ModelFile | None, work: ThreadPoolExecutor, on_prepared: Callable[[], None]
+) -> tuple[Recorded, JointFit]:
+    """The recording with the base model; drivers decide as often as those of a model file, if it says how often."""
+    as_in_file = None if model is None else prepare_for(recording, model)
+    data = prepare(recording) if as_in_file is None else as_in_file
+    on_prepared()
+    data, base = base_model(data, work)
+    if as_in_file is not None:
+        return data, base
+    return with_more_decisions(recording, data, base, work) or (data, base)
 
 
 def _of_file(
