@@ -93,11 +93,6 @@ class Candidate:
         return self.look_elsewhere_nats > 0.0
 
     @property
-    def is_rare(self) -> bool:
-        """Whether few drivers show it at few moments."""
-        return self.is_single_event or self.is_decision
-
-    @property
     def has_sign(self) -> bool:
         """Whether only positive strengths make sense."""
         return any(ROW.declared[k].lower >= 0.0 for k in self.switches)

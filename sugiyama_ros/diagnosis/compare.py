@@ -229,9 +229,8 @@ def _base(
     data = prepare(recording) if as_in_file is None else as_in_file
     on_prepared()
     data, base = base_model(data, work)
-    if as_in_file is not None:
-        return data, base
-    return with_more_decisions(recording, data, base, work) or (data, base)
+    found = None if as_in_file is not None else with_more_decisions(recording, data, base, work)
+    return found or (data, base)
 
 
 def _of_file(

@@ -508,14 +508,14 @@ def _best(bench: _Bench, current: Entry, won: dict[Entry, dict[str, Difference]]
 
     Among models that cannot be told apart, what changes how drivers act goes before freed constants, forces and moods,
     and these before noises: whatever else is missing shows in them, too. Then, what all drivers have goes before what
-    some have, and what gains most before the rest; of what is rare, one step ahead.
+    some have, and what gains most before the rest; of decisions, one step ahead.
     """
     allowed = _allowed(bench, current, won)
     if not allowed:
         return None, []
     first = allowed[0]
     alike = [e for e in won if e is first or not first.over(bench.data, e)["all"].is_clear]
-    won_by = {e: won[e]["one_step" if e.added[-1].is_rare else "all"].nats for e in alike}
+    won_by = {e: won[e]["one_step" if e.added[-1].is_decision else "all"].nats for e in alike}
     order = sorted(alike, key=lambda e: (e.added[-1].rank, bool(e.added[-1].drivers), -won_by[e]))
     best = next((e for e in order if e in allowed and _is_away(bench, e, e.added[-1])), None)
     return best, [e for e in alike if e is not best]

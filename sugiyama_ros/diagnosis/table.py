@@ -66,7 +66,8 @@ class Entry:
     def over(self, data: Recorded, other: "Entry") -> dict[str, Difference]:
         """Gain over another model, as of ``gains``."""
         new = [one for one in self.added if one not in other.added]
-        once, rare = (bool(new) and all(new_) for new_ in ([c.is_single_event for c in new], [c.is_rare for c in new]))
+        once = bool(new) and all(one.is_single_event for one in new)
+        rare = once or (bool(new) and all(one.is_single_event or one.is_decision for one in new))
         return gains(data, self.forecasts, other.forecasts, once=once, rare=rare)
 
     def is_better(self, data: Recorded, than: "Entry") -> bool:
