@@ -168,8 +168,6 @@ def _selection(options: _ConvertOptions) -> "Selection":
 
 
 def _print_tracks(document: dict[str, Any]) -> None:
-    if "format" in document:
-        print_line(f"{'Format:':<13}{document['format']}")
     for key, value in _lines_of(document):
         print_line(f"{key + ':':<13}{value}")
     if document["dropped"]:
@@ -413,6 +411,7 @@ def _lines_of(document: dict[str, Any]) -> list[tuple[str, str]]:
     known = ", ".join(f"{leaders[name]:.1%} {name.replace('_', ' ')}" for name in leaders)
     irregular = "" if document["regular"] in (True, None) else ", irregular"
     lines = [
+        ("Format", document.get("format", "")),
         ("Source", document["source"] or "not known"),
         ("Licence", document["licence"] or ""),
         ("Rows", f"{document['rows']} ({', '.join(document['columns'])})"),

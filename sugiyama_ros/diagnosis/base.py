@@ -49,7 +49,7 @@ def base_model(data: Recorded, work: Executor, law: str = PAPERS) -> tuple[Recor
         return data, base
     # each parameter of each driver gains about one nat that held-out samples do not confirm
     by_chance = len(FREED) * data.drivers
-    look = scores(data, base, list(directions(data, base, [_NOISES], work)), work)
+    look = scores(data, base, directions(data, base, [_NOISES], work), work)
     if max((one.gain for one in look), default=0.0) < by_chance:
         return data, base
     freed = replace(data, even=data.even._replace(has_other_noises=True))

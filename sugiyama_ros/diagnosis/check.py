@@ -26,7 +26,7 @@ from sugiyama_ros.diagnosis.table import Entry
 from sugiyama_ros.diagnosis.where import Located, locate
 from sugiyama_ros.filters.extract import motion_of
 from sugiyama_ros.fit.joint import JointFit
-from sugiyama_ros.fit.model import PointwiseDensity, filtered_states
+from sugiyama_ros.fit.model import filtered_states
 from sugiyama_ros.fit.recording import BLOCK_S, Recorded
 from sugiyama_ros.fit.simulated import resample, seeds
 from sugiyama_ros.simulation.collective import Collective, collective
@@ -123,9 +123,10 @@ def _innovations(
         p = float(chi2.sf(squares / wider, bins))
         value, expected = (math.sqrt(mean / max(samples, 1)) for mean in (squares, wider * bins))
         yield Check(f"bias_over_{covariate}", value, expected, "1", p, _BIAS)
-    normal = [_normal(one, fitted.samples) for one, fitted in ((data, final.fit), *simulated)]
     of_squares, of_products = [], []
-    for z, (one, _) in zip(normal, ((data, None), *simulated), strict=True):
+    for one, fitted in ((data, final.fit), *simulated):
+        y, variance = fitted.samples.innovation_m, fitted.samples.innovation_var
+        z = np.where(one.scored, y / np.sqrt(variance), np.nan)[:, :: one.every]
         driver, block = np.broadcast_to(np.arange(one.drivers)[:, None], z.shape), one.block[:, :: one.every]
         of_squares.append(_mean(np.square(z), driver, block))
         of_products.append(_mean(z[:, 1:] * z[:, :-1], driver[:, 1:], block[:, 1:]))
@@ -138,12 +139,6 @@ def _squares(located: Located, covariate: str) -> tuple[float, int, int]:
     """Sum of squares of the normalised biases of the bins of a covariate, their number, and that of the samples."""
     bins = [b for b in located.bins if b.covariate == covariate]
     return float(sum(b.samples * b.bias**2 for b in bins)), len(bins), sum(b.samples for b in bins)
-
-
-def _normal(data: Recorded, samples: PointwiseDensity) -> Array:
-    """Innovations of measured samples over their standard deviations, (N, T)."""
-    z = np.where(data.scored, samples.innovation_m / np.sqrt(samples.innovation_var), np.nan)
-    return np.asarray(z[:, :: data.every])
 
 
 def _mean(values: Array, *units: Ints) -> tuple[float, float, int]:

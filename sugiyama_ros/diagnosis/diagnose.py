@@ -23,7 +23,7 @@ from sugiyama_ros.diagnosis.candidates import FORCE, Candidate, candidates, chos
 from sugiyama_ros.diagnosis.chance import Chance, chance_of
 from sugiyama_ros.diagnosis.check import Check, checks, judged
 from sugiyama_ros.diagnosis.forecast import HORIZONS_S, driven, forecasts
-from sugiyama_ros.diagnosis.refine import begun, finished, refined, without, without_folds
+from sugiyama_ros.diagnosis.refine import begun, finished, with_named, without, without_folds
 from sugiyama_ros.diagnosis.score import Direction, Score, directions, scores
 from sugiyama_ros.diagnosis.table import Difference, Entry, errors
 from sugiyama_ros.diagnosis.where import Located, locate
@@ -298,6 +298,7 @@ class _Bench:
     on_progress: OnStage
     known: dict[JointFit, list[tuple[Recorded, JointFit]]] = field(default_factory=dict)
     directions: list[Direction] = field(default_factory=list)
+    known_stds: dict[JointFit, dict[str, float]] = field(default_factory=dict)
 
     @cached_property
     def possible(self) -> tuple[Candidate, ...]:
@@ -308,6 +309,12 @@ class _Bench:
         """A fitted model with its held-out forecasts; ``beside``: models without folds of the fit that it extends."""
         models = without_folds(self.data, fit, self.work, beside)
         return Entry(name, added, fit, models, forecasts(self.data, models, self.work))
+
+    def stds(self, fit: JointFit) -> dict[str, float]:
+        """Standard errors of shared parameters, computed once."""
+        if fit not in self.known_stds:
+            self.known_stds[fit] = shared_stds(self.data, fit, self.work)
+        return self.known_stds[fit]
 
     def simulated(self, fit: JointFit) -> list[tuple[Recorded, JointFit]]:
         """Recordings that a model simulates, with the fits to them, made once."""
@@ -368,8 +375,8 @@ def _scored(bench: _Bench, fit: JointFit, rounds: Sequence[Round] = ()) -> _Scor
     while new := {c.mechanism for c in found.worth} - known:
         asked = [c for c in left if c.mechanism in new]
         for own, (data, again) in zip(there, bench.simulated(fit), strict=True):
-            along = list(directions(data, again, asked, bench.work, with_forces=FORCE in new))
-            own += scores(data, again, along, bench.work)
+            there_too = directions(data, again, asked, bench.work, with_forces=FORCE in new)
+            own += scores(data, again, there_too, bench.work)
         found, known = _Scored(by_name, chance_of(every, there, bench.seed, drawn)), known | new
     return found
 
@@ -483,16 +490,14 @@ def _without(bench: _Bench, entry: Entry, candidate: Candidate) -> Entry:
     whole = entry.fit.beside or entry.fit
     fit = maximise(bench.data, without(bench.data, whole, candidate, bench.work), bench.work)
     if entry.fit.beside is not None:
-        last = added[-1]
-        found = scores(bench.data, fit, list(directions(bench.data, fit, [last], bench.work)), bench.work)
-        fit = refined(bench.data, fit, last, sorted(found, key=lambda one: -one.gain), bench.work)
+        fit = with_named(bench.data, fit, [added[-1].name], bench.work)
     return bench.entry(entry.name, added, fit)
 
 
 def _is_away(bench: _Bench, entry: Entry, candidate: Candidate) -> bool:
     """Whether a strength of an addition is away from 0 by two standard errors, as far as these are known."""
     places = [k for k in candidate.switches if k in entry.fit.model.shared]
-    stds = shared_stds(bench.data, entry.fit, bench.work) if places else {}
+    stds = bench.stds(entry.fit) if places else {}
     sizes = np.abs(entry.fit.model.rows[list(candidate.drivers) or slice(None)]).max(axis=0)
     return not places or any(sizes[k] > CLEARLY * stds[ROW.entries[k]] for k in places)
 
@@ -542,7 +547,7 @@ def _concluded(bench: _Bench, rounds: list[Round], asked: tuple[str, ...], simul
         where_after=locate(data, final.fit.model, final.forecasts.samples, work),
         driven_before=driven(data, base.models, work),
         driven_after=driven(data, final.models, work),
-        stds=shared_stds(data, final.fit, work),
+        stds=bench.stds(final.fit),
         smallest=() if any(one.added for one in rounds) else tuple(_smallest(rounds[0])),
         asked=asked,
         simulations=simulations,

@@ -66,7 +66,7 @@ def with_named(data: Recorded, fitted: JointFit, names: Sequence[str], work: Exe
     known = {name: None if name.startswith(FORCE) else chosen(data, possible, name) for name in names}
     for name, one in known.items():
         along = directions(data, fitted, [one] if one else [], work, with_forces=one is None)
-        found = scores(data, fitted, list(along), work)
+        found = scores(data, fitted, along, work)
         candidate = one or chosen(data, [force.candidate for force in found], name)
         own = sorted((s for s in found if s.candidate.name == candidate.name), key=lambda s: -s.gain)
         fitted = refined(data, fitted, candidate, own, work)

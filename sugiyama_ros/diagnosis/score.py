@@ -11,7 +11,7 @@ C. R. Rao, Proc. Camb. Philos. Soc. 44 (1948) 50; P. J. Bickel et al., Efficient
 Semiparametric Models (1993), chapter 2.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -250,7 +250,7 @@ class Direction(NamedTuple):
     there: tuple[Model, PointwiseDensity] | None
 
 
-def scores(data: Recorded, fitted: JointFit, directions: Sequence[Direction], work: Executor) -> list[Score]:
+def scores(data: Recorded, fitted: JointFit, along: Iterable[Direction], work: Executor) -> list[Score]:
     """Score candidates along their directions beside a fitted model.
 
     Derivatives may belong to a model before, which hardly changes them: any direction gives a valid score. Those of the
@@ -258,7 +258,7 @@ def scores(data: Recorded, fitted: JointFit, directions: Sequence[Direction], wo
     """
     nuisance = _Nuisance(data, fitted)
     together: dict[tuple[object, ...], list[Direction]] = {}
-    for one in directions:
+    for one in along:
         together.setdefault(one.group, []).append(one)
     random = [parts[0] for parts in together.values() if parts[0].there]
     responded = [nuisance.responded(data, *one.there) for one in random if one.there]
