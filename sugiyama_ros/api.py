@@ -17,11 +17,9 @@ from sugiyama_ros.calibration.lane_changes import lane_changes as lane_changes
 from sugiyama_ros.calibration.result import Calibration, Settings, number_of_classes
 from sugiyama_ros.controllers.controller import Controlled
 from sugiyama_ros.controllers.registry import controlled_by
-from sugiyama_ros.diagnosis import compare as comparison
 from sugiyama_ros.diagnosis import diagnose as diagnosis
 from sugiyama_ros.diagnosis.candidates import check_names
-from sugiyama_ros.diagnosis.compare import Comparison
-from sugiyama_ros.diagnosis.diagnose import Diagnosis
+from sugiyama_ros.diagnosis.rounds import Diagnosis
 from sugiyama_ros.driver.bicycle import CAR, car_of
 from sugiyama_ros.driver.parameters import NAMES, defaults, population
 from sugiyama_ros.effects.registry import ROW
@@ -49,6 +47,8 @@ from sugiyama_ros.simulation.result import Simulation
 from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M
 from sugiyama_ros.trajectories.centre_line import CentreLine
 from sugiyama_ros.trajectories.tracks import Tracks
+from sugiyama_ros.verdict import compare as comparison
+from sugiyama_ros.verdict.compare import Comparison
 
 if TYPE_CHECKING:
     import pandas

@@ -23,13 +23,13 @@ from typing import Any
 from sugiyama_ros.api import filter_plane, lane_changes, simulate, simulate_lane_changes
 from sugiyama_ros.calibration.calibrate import each_driver
 from sugiyama_ros.calibration.result import Settings
-from sugiyama_ros.diagnosis.compare import compare
 from sugiyama_ros.diagnosis.diagnose import diagnose
 from sugiyama_ros.driver.parameters import REFERENCE_PERIOD_S, defaults
 from sugiyama_ros.effects.control import compile_functions
 from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.filters.online import OnlineFilter, warm_up
 from sugiyama_ros.road import Road
+from sugiyama_ros.verdict.compare import compare
 
 _VEHICLES, _RING_M, _DURATION_S = 3, 35.0, 30.0
 # An effect on what is measured: the filters then call functions that the base model does without.

@@ -8,7 +8,8 @@ import numpy as np
 from scipy.stats import kstest
 
 from benchmarks.away.cases import Case, Pair, cases, recorded
-from sugiyama_ros.diagnosis.diagnose import Diagnosis, diagnose
+from sugiyama_ros.diagnosis.diagnose import diagnose
+from sugiyama_ros.diagnosis.rounds import Diagnosis
 from sugiyama_ros.diagnosis.table import Difference, paired
 from sugiyama_ros.fit.model import evaluate
 from sugiyama_ros.fit.preparation import prepare

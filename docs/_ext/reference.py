@@ -200,7 +200,7 @@ def python() -> str:
         "   :members: summary, to_frame, plot, save",
         "",
         *(f".. autoclass:: {name}\n" for name in results),
-        ".. automethod:: sugiyama_ros.diagnosis.compare.Comparison.to_xarray",
+        ".. automethod:: sugiyama_ros.verdict.compare.Comparison.to_xarray",
         "",
         "Document of a diagnosis",
         "-----------------------",

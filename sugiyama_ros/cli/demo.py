@@ -18,7 +18,7 @@ from sugiyama_ros.progress import stages
 from sugiyama_ros.results import TextTable, plain
 
 if TYPE_CHECKING:
-    from sugiyama_ros.diagnosis.diagnose import Diagnosis
+    from sugiyama_ros.diagnosis.rounds import Diagnosis
     from sugiyama_ros.nodes.run import RunResult
     from sugiyama_ros.page.above import Above
     from sugiyama_ros.simulation.junction import JunctionRun

@@ -32,7 +32,7 @@ from sugiyama_ros.progress import OnStage, stages
 from sugiyama_ros.results import plain, to_json
 
 if TYPE_CHECKING:
-    from sugiyama_ros.diagnosis.diagnose import Diagnosis
+    from sugiyama_ros.diagnosis.rounds import Diagnosis
     from sugiyama_ros.fit import model_file
     from sugiyama_ros.trajectories.tracks import Tracks
 
@@ -225,11 +225,11 @@ def compare(options: _CompareOptions) -> None:
 
     The comparison uses samples that no fit has seen. It says which model forecasts best, and by how much.
     """
-    from sugiyama_ros.diagnosis.compare import compare as compare_models
     from sugiyama_ros.fit.model_file import read_model
     from sugiyama_ros.formats.choices import Choices
     from sugiyama_ros.formats.registry import read_tracks
     from sugiyama_ros.page.document import comparison_document
+    from sugiyama_ros.verdict.compare import compare as compare_models
     from sugiyama_ros.workers import helpers
 
     given = read_model(options.model) if options.model is not None else None

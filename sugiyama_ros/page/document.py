@@ -13,8 +13,7 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import Candidate
-from sugiyama_ros.diagnosis.compare import Compared, Comparison
-from sugiyama_ros.diagnosis.diagnose import Diagnosis, Round
+from sugiyama_ros.diagnosis.rounds import Diagnosis, Round
 from sugiyama_ros.diagnosis.table import Difference, Entry, errors, gains
 from sugiyama_ros.diagnosis.where import Located
 from sugiyama_ros.driver.parameters import CONSTANTS, KAPPA_V, V_STAR, Parameter
@@ -24,6 +23,7 @@ from sugiyama_ros.fit.extent import not_searched
 from sugiyama_ros.fit.standard_errors import own_stds
 from sugiyama_ros.laws.registry import LAWS, PAPERS, name_of
 from sugiyama_ros.statistics import ALPHA
+from sugiyama_ros.verdict.compare import Compared, Comparison
 
 # Time between two samples of a picture [s], and largest number of points of one run in the document.
 _EVERY_S, _MOST = 0.6, 20_000

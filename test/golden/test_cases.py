@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 import sugiyama_ros as sg
-from sugiyama_ros.diagnosis.compare import Comparison
 from sugiyama_ros.diagnosis.diagnose import diagnose
 from sugiyama_ros.diagnosis.table import errors
 from sugiyama_ros.page.document import additions
+from sugiyama_ros.verdict.compare import Comparison
 
 CASES = Path(__file__).parents[2].parent / "shared/cases"
 pytestmark = pytest.mark.skipif(not CASES.exists(), reason="needs recordings that are not in the repository")

@@ -35,6 +35,7 @@ ORDER = (
     "workers",
     "fit",
     "diagnosis",
+    "verdict",
     "calibration",
     "page",
     "studies",
@@ -60,11 +61,11 @@ ALONE = {
         "results",
         "statistics",
     }
-    | {"road", "trajectories"},
+    | {"road", "trajectories", "verdict"},
     "__init__": {"api", "controllers", "effects", "laws"},
 }
 #: Rooms whose results make words when they are shown: from these rooms, imported only then.
-SHOWN_BY = {"diagnosis": {"page"}}
+SHOWN_BY = {"diagnosis": {"page"}, "verdict": {"page"}}
 #: Limits of a room: files besides ``__init__``, lines, and named numbers.
 LIMITS_OF_ROOMS = {"diagnosis": (15, 3_000, 33)}
 ROS = {"rclpy", "rcl_interfaces", "sugiyama_msgs", "std_srvs", "diagnostic_msgs", "visualization_msgs", "rosgraph_msgs"}

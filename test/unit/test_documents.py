@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from diagnoses import addition, document, dropped
 
-from sugiyama_ros.diagnosis.diagnose import Round
+from sugiyama_ros.diagnosis.rounds import Round
 from sugiyama_ros.driver.parameters import NAMES, defaults
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model_file import read_model

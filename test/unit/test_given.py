@@ -9,7 +9,6 @@ import pytest
 import yaml
 
 import sugiyama_ros as sg
-from sugiyama_ros.diagnosis.compare import compare
 from sugiyama_ros.diagnosis.refine import with_named
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW, index_of, switch_on
@@ -23,6 +22,7 @@ from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Clock, Simulator, platoon, simulate
 from sugiyama_ros.trajectories.dense import tracks_of
+from sugiyama_ros.verdict.compare import compare
 
 CARS, RING_M, LENGTH_M = 7, 77.0, 4.2
 PATCH = {"reduction": 0.25, "centre": 20.0, "width": 25.0}

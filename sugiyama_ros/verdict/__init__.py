@@ -1,0 +1,1 @@
+"""What is told of models: models compared without a search."""
