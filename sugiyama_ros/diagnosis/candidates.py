@@ -98,6 +98,13 @@ class Candidate:
         return any(ROW.declared[k].lower >= 0.0 for k in self.switches)
 
     @property
+    def judged_by(self) -> str:
+        """The column that its gain is read from: one step ahead of what is rare, which few forecasts over seconds show;
+        else all horizons together.
+        """
+        return "one_step" if self.is_decision or self.is_single_event else "all"
+
+    @property
     def rank(self) -> int:
         """What is added first: 0 for what changes how drivers act or what is measured, 1 for forces, freed constants
         and moods, 2 for noises.

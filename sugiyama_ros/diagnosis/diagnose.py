@@ -24,7 +24,7 @@ from sugiyama_ros.diagnosis.forecast import driven, forecasts
 from sugiyama_ros.diagnosis.refine import begun, finished, with_named, without, without_folds
 from sugiyama_ros.diagnosis.rounds import Diagnosis, Round
 from sugiyama_ros.diagnosis.score import Direction, Score, directions, scores
-from sugiyama_ros.diagnosis.table import Difference, Entry, errors
+from sugiyama_ros.diagnosis.table import Difference, Entry, errors, gains
 from sugiyama_ros.diagnosis.where import locate
 from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.fit.joint import JointFit, maximise
@@ -33,7 +33,7 @@ from sugiyama_ros.fit.preparation import prepare
 from sugiyama_ros.fit.profile import profiled
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.simulated import resampled_fits, seeds
-from sugiyama_ros.fit.standard_errors import shared_stds
+from sugiyama_ros.fit.standard_errors import away_from_0, shared_stds
 from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.progress import OnStage
 from sugiyama_ros.results import CLEARLY
@@ -117,7 +117,6 @@ class _Bench:
     on_progress: OnStage
     known: dict[JointFit, list[tuple[Recorded, JointFit]]] = field(default_factory=dict)
     directions: list[Direction] = field(default_factory=list)
-    known_stds: dict[JointFit, dict[str, float]] = field(default_factory=dict)
 
     @cached_property
     def possible(self) -> tuple[Candidate, ...]:
@@ -128,12 +127,6 @@ class _Bench:
         """A fitted model with its held-out forecasts; ``beside``: models without folds of the fit that it extends."""
         models = without_folds(self.data, fit, self.work, beside)
         return Entry(name, added, fit, models, forecasts(self.data, models, self.work))
-
-    def stds(self, fit: JointFit) -> dict[str, float]:
-        """Standard errors of shared parameters, computed once."""
-        if fit not in self.known_stds:
-            self.known_stds[fit] = shared_stds(self.data, fit, self.work)
-        return self.known_stds[fit]
 
     def simulated(self, fit: JointFit) -> list[tuple[Recorded, JointFit]]:
         """Recordings that a model simulates, with the fits to them, made once."""
@@ -254,12 +247,9 @@ def _round(bench: _Bench, current: Entry, found: _Scored) -> Round:
         bench.on_progress(f"round {len(current.added) + 1}: fitting", number, len(found.worth))
         near = found.by_name.get(candidate.name, ())
         first_steps[candidate] = begun(bench.data, current.fit, candidate, near, bench.work)
-    for candidate, fit in first_steps.items():
-        # of each kind, what raises the likelihood by less than half of the most cannot win any more
-        most = max(other.objective for c, other in first_steps.items() if c.rank == candidate.rank)
-        if 2.0 * (fit.objective - current.fit.objective) >= most - current.fit.objective:
-            entry = _finished(bench, current, candidate, fit)
-            won[entry] = entry.over(bench.data, current)
+    for candidate in _promising(bench, current, first_steps):
+        entry = _finished(bench, current, candidate, first_steps[candidate])
+        won[entry] = entry.over(bench.data, current)
     # of the best mechanism, all forms: what only some drivers seem to have, all of them may have as well
     if won:
         first = (_allowed(bench, current, won) or sorted(won, key=lambda e: -won[e]["all"].nats))[0]
@@ -281,6 +271,14 @@ def _round(bench: _Bench, current: Entry, found: _Scored) -> Round:
         is_better=added is not None and added.is_better(bench.data, current),
         alike=tuple(alike),
     )
+
+
+def _promising(bench: _Bench, current: Entry, first_steps: dict[Candidate, JointFit]) -> list[Candidate]:
+    """What may still win: of each kind, what gains at least half of the most on the samples that it was fitted to."""
+    now, *there = (forecasts(bench.data, [fit.model], bench.work) for fit in (current.fit, *first_steps.values()))
+    won = {c: gains(bench.data, one, now)[c.judged_by].nats for c, one in zip(first_steps, there, strict=True)}
+    most = {c: max(won[o] for o in won if (o.rank, o.judged_by) == (c.rank, c.judged_by)) for c in won}
+    return [c for c in won if most[c] - won[c] <= 0.5 * abs(most[c])]
 
 
 def _profiled(bench: _Bench, current: Entry, entry: Entry) -> Entry:
@@ -316,9 +314,7 @@ def _without(bench: _Bench, entry: Entry, candidate: Candidate) -> Entry:
 def _is_away(bench: _Bench, entry: Entry, candidate: Candidate) -> bool:
     """Whether a strength of an addition is away from 0 by two standard errors, as far as these are known."""
     places = [k for k in candidate.switches if k in entry.fit.model.shared]
-    stds = bench.stds(entry.fit) if places else {}
-    sizes = np.abs(entry.fit.model.rows[list(candidate.drivers) or slice(None)]).max(axis=0)
-    return not places or any(sizes[k] > CLEARLY * stds[ROW.entries[k]] for k in places)
+    return not places or max(away_from_0(bench.data, entry.fit, places, bench.work)) > CLEARLY
 
 
 def _allowed(bench: _Bench, current: Entry, won: dict[Entry, dict[str, Difference]]) -> list[Entry]:
@@ -339,7 +335,7 @@ def _best(bench: _Bench, current: Entry, won: dict[Entry, dict[str, Difference]]
         return None, []
     first = allowed[0]
     alike = [e for e in won if e is first or not first.over(bench.data, e)["all"].is_clear]
-    won_by = {e: won[e]["one_step" if e.added[-1].is_decision else "all"].nats for e in alike}
+    won_by = {e: won[e][e.added[-1].judged_by].nats for e in alike}
     order = sorted(alike, key=lambda e: (e.added[-1].rank, bool(e.added[-1].drivers), -won_by[e]))
     best = next((e for e in order if e in allowed and _is_away(bench, e, e.added[-1])), None)
     return best, [e for e in alike if e is not best]
@@ -366,7 +362,7 @@ def _concluded(bench: _Bench, rounds: list[Round], asked: tuple[str, ...], simul
         where_after=locate(data, final.fit.model, final.forecasts.samples, work),
         driven_before=driven(data, base.models, work),
         driven_after=driven(data, final.models, work),
-        stds=bench.stds(final.fit),
+        stds=shared_stds(data, final.fit, work),
         smallest=() if any(one.added for one in rounds) else tuple(_smallest(rounds[0])),
         asked=asked,
         simulations=simulations,

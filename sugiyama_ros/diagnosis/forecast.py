@@ -117,18 +117,19 @@ def starts_of(data: Recorded) -> Starts:
 
 
 def forecasts(data: Recorded, models: Sequence[Model], work: Executor) -> Forecasts:
-    """Forecast every sample, each with the model that was fitted without the sample's fold.
+    """Forecast every sample, each with the model that was fitted without the sample's fold; or all with one model.
 
     The traffic ahead is as the model's own filter sees it: a model that corrects the measured places corrects those of
     the driver and of the leader.
     """
     starts = starts_of(data)
     parts = [_Fold(data, starts, model, fold) for fold, model in enumerate(models)]
+    left_out = data.fold if len(models) > 1 else np.zeros_like(data.fold)
     known = np.full((3, data.drivers, data.samples), np.nan)
     ends = np.full((2, 4, len(starts.sample), len(HORIZONS_S), data.drivers), np.nan)
     for part in parts:
-        mask = data.fold == part.fold
-        who = starts.who & (data.fold.T[starts.sample] == part.fold)
+        mask = left_out == part.fold
+        who = starts.who & mask.T[starts.sample]
         chosen = np.flatnonzero(who.any(axis=1))
         predicted, states, traffic = part.filtered(starts.sample[chosen], work)
         known[:, mask] = predicted[:, mask]

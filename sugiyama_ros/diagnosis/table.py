@@ -67,7 +67,7 @@ class Entry:
         """Gain over another model, as of ``gains``."""
         new = [one for one in self.added if one not in other.added]
         once = bool(new) and all(one.is_single_event for one in new)
-        rare = once or (bool(new) and all(one.is_single_event or one.is_decision for one in new))
+        rare = bool(new) and all(one.judged_by == "one_step" for one in new)
         return gains(data, self.forecasts, other.forecasts, once=once, rare=rare)
 
     def is_better(self, data: Recorded, than: "Entry") -> bool:

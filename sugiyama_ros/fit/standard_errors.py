@@ -11,6 +11,7 @@ Huber, Proc. Fifth Berkeley Symp. Math. Stat. Prob. 1 (1967) 221. Cameron and Mi
 """
 
 import math
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from typing import Any
 
@@ -64,13 +65,52 @@ def _arrow(fitted: JointFit, *, with_centre: bool = False) -> tuple[Array, Array
 
 def shared_stds(data: Recorded, fitted: JointFit, work: Executor) -> dict[str, float]:
     """Return standard deviations of the shared parameters of a fit."""
-    model, own = fitted.model, len(fitted.model.individual)
+    model = fitted.model
     shared = list(model.shared)
     if not shared:
         return {}
     _, lifts, inverse = _arrow(fitted)
-    blocks = np.unique(data.block)
-    scores = np.zeros((data.drivers, len(blocks), len(shared)))
+    stds = np.sqrt(np.maximum(np.diag(inverse), 1e-300)) * _disagreement(data, fitted, lifts, inverse)
+    for j in range(len(shared)):
+        direction = inverse[:, j] / np.sqrt(max(inverse[j, j], 1e-300))
+        stds[j] *= _stretch(data, fitted, direction, lifts, work)
+    # from a coordinate to the parameter itself: d p = p d log p
+    stds *= np.where(is_linear(shared), 1.0, _sizes(fitted))
+    return dict(zip((ROW.entries[k] for k in shared), stds.tolist(), strict=True)) | dict(fitted.stds)
+
+
+def away_from_0(data: Recorded, fitted: JointFit, places: Sequence[int], work: Executor) -> list[float]:
+    """Return by how many standard errors some shared parameters of a fit are away from 0.
+
+    From how far the log posterior falls halfway to 0, while all others respond: by z^2 / 8 if it is a parabola.
+    """
+    _, lifts, inverse = _arrow(fitted)
+    disagreement, sizes, stds = _disagreement(data, fitted, lifts, inverse), _sizes(fitted), dict(fitted.stds)
+    found = []
+    for place in places:
+        j = fitted.model.shared.index(place)
+        if ROW.entries[place] in stds:
+            found.append(float(sizes[j] / stds[ROW.entries[place]]))
+            continue
+        value = fitted.model.rows[fitted.model.has[:, j], place].max()
+        half = 0.5 * value if is_linear([place])[0] else math.log(2.0)
+        direction = -half * inverse[:, j] / max(inverse[j, j], 1e-300)
+        halved = moved(data, fitted.model, -lifts @ direction, direction)
+        fall = fitted.objective - at_model(data, fitted, halved, work).objective
+        found.append(math.sqrt(8.0 * max(fall, 0.0)) / float(disagreement[j]))
+    return found
+
+
+def _sizes(fitted: JointFit) -> Array:
+    """Largest size (S,) of each shared parameter, of those who have it."""
+    model = fitted.model
+    return np.array([np.abs(model.rows[model.has[:, j], k]).max(initial=0.0) for j, k in enumerate(model.shared)])
+
+
+def _disagreement(data: Recorded, fitted: JointFit, lifts: Array, inverse: Array) -> Array:
+    """By how much drivers, or blocks of time, differ more than the information allows, (S,), at least 1."""
+    model, own, blocks = fitted.model, len(fitted.model.individual), np.unique(data.block)
+    scores = np.zeros((data.drivers, len(blocks), len(model.shared)))
     for i, (s, row, has) in enumerate(zip(fitted.slopes, model.rows, model.has, strict=True)):
         y, variance, density = fitted.samples.of(i)
         derivatives = s.derivatives
@@ -78,16 +118,8 @@ def shared_stds(data: Recorded, fitted: JointFit, work: Executor) -> dict[str, f
         slope = np.where(np.isfinite(density), slope, 0.0)
         efficient = np.where(has[:, None], slope[own:], 0.0) - lifts[i].T @ slope[:own]
         scores[i] = [efficient[:, data.block[i] == b].sum(axis=1) for b in blocks]
-    stds = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
     scatter = np.max([_scatter(np.asarray(scores.sum(axis=k)), inverse) for k in (0, 1)], axis=0)
-    stds *= np.maximum(np.sqrt(scatter) / stds, 1.0)
-    for j in range(len(shared)):
-        direction = inverse[:, j] / np.sqrt(max(inverse[j, j], 1e-300))
-        stds[j] *= _stretch(data, fitted, direction, lifts, work)
-    # from a coordinate to the parameter itself: d p = p d log p
-    size = np.array([np.abs(model.rows[model.has[:, j], k]).max(initial=0.0) for j, k in enumerate(shared)])
-    stds *= np.where(is_linear(shared), 1.0, size)
-    return dict(zip((ROW.entries[k] for k in shared), stds.tolist(), strict=True)) | dict(fitted.stds)
+    return np.asarray(np.sqrt(np.maximum(scatter / np.maximum(np.diag(inverse), 1e-300), 1.0)))
 
 
 def _stretch(data: Recorded, fitted: JointFit, direction: Array, lifts: Array, work: Executor) -> float:

@@ -20,7 +20,7 @@ from sugiyama_ros.fit.law import by_gaps, in_filter
 from sugiyama_ros.fit.model import Model, filtered_states
 from sugiyama_ros.fit.model_file import ModelFile
 from sugiyama_ros.fit.preparation import prepare
-from sugiyama_ros.fit.recording import FOLDS, Recorded, Vicinity
+from sugiyama_ros.fit.recording import Recorded, Vicinity
 from sugiyama_ros.fit.simulated import resample, seeds
 from sugiyama_ros.laws.registry import LAWS, RIVALS
 from sugiyama_ros.progress import OnStage
@@ -217,7 +217,7 @@ def _held_out(
     seed: int,
     work: ThreadPoolExecutor,
 ) -> Compared:
-    """Models of all folds; ``whole``: what simulates the road, if it is to be simulated."""
+    """Models of all folds, or one; ``whole``: what simulates the road, if it is to be simulated."""
     return Compared(name, kind, forecasts(data, models, work), {}, _of_road(data, whole, seed, work))
 
 
@@ -242,7 +242,7 @@ def _of_file(
     if model.is_of(data.vicinity.sha256):
         rows = model.rows_of(np.array(data.vicinity.numbers))
         as_it_is = Model(rows, (), (), (), rows)
-        return [_held_out(model.name(), "in_sample", data, [as_it_is] * FOLDS, as_it_is, seed, work)], None
+        return [_held_out(model.name(), "in_sample", data, [as_it_is], as_it_is, seed, work)], None
     fitted, given = fit_people(data, base, model, work)
     return [_fitted(model.name(given.left_out), "given", data, fitted, seed, work)], given
 
