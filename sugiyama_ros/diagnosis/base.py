@@ -22,7 +22,7 @@ from sugiyama_ros.fit.joint import JointFit, fit, fit_nearly
 from sugiyama_ros.fit.law import in_filter, start_of_drivers
 from sugiyama_ros.fit.model import PointwiseDensity, unknown
 from sugiyama_ros.fit.preparation import prepare
-from sugiyama_ros.fit.recording import Recorded, some_drivers
+from sugiyama_ros.fit.recording import MOST_SAMPLES, Recorded, some_drivers
 from sugiyama_ros.fit.smooth_positions import FREED, ROUNDING
 from sugiyama_ros.laws.registry import LAWS, PAPERS, name_of
 from sugiyama_ros.progress import OnStage
@@ -65,11 +65,12 @@ def with_more_decisions(
     work: Executor,
     on_progress: OnStage = lambda what, done, total: None,
     law: str = PAPERS,
+    searched: int = MOST_SAMPLES,
 ) -> tuple[Recorded, JointFit] | None:
     """Return the recording at the period from which the base model predicts its samples best, and the base model there.
 
     None if no shorter period is clearly better, and where only some of the samples count because somebody has smoothed
-    the positions.
+    the positions. searched: drivers times samples, at most.
     """
     if data.every > data.decisions:
         return None
@@ -78,7 +79,7 @@ def with_more_decisions(
     most = int(data.apart_s / 0.1 * (1.0 + ROUNDING))
     for parts in range(data.decisions + 1, most + 1):
         on_progress("more decisions between samples", parts - data.decisions - 1, most - data.decisions)
-        finer = prepare(recording, parts)
+        finer = prepare(recording, parts, searched)
         if fit(replace(finer, even=data.even), base.model, work, iterations=_FEW).samples.total <= best:
             break
         finer, again = base_model(finer, work, law)

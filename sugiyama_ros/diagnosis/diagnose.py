@@ -6,11 +6,11 @@ standard error over blocks of time and drivers, and with what chance gives in th
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import norm
@@ -21,7 +21,7 @@ from sugiyama_ros.diagnosis.candidates import FORCE, Candidate, candidates, chos
 from sugiyama_ros.diagnosis.chance import Chance, chance_of
 from sugiyama_ros.diagnosis.check import Check, checks, judged
 from sugiyama_ros.diagnosis.forecast import driven, forecasts
-from sugiyama_ros.diagnosis.refine import begun, finished, with_named, without, without_folds
+from sugiyama_ros.diagnosis.refine import begun, finished, with_named, with_one, without, without_folds
 from sugiyama_ros.diagnosis.rounds import Diagnosis, Round
 from sugiyama_ros.diagnosis.score import Direction, Score, directions, scores
 from sugiyama_ros.diagnosis.table import Difference, Entry, errors, gains
@@ -31,7 +31,7 @@ from sugiyama_ros.fit.joint import JointFit, maximise
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.preparation import prepare
 from sugiyama_ros.fit.profile import profiled
-from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.recording import MOST_SAMPLES, SEARCHED_SAMPLES, Recorded
 from sugiyama_ros.fit.simulated import resampled_fits, seeds
 from sugiyama_ros.fit.standard_errors import away_from_0, shared_stds
 from sugiyama_ros.laws.registry import PAPERS
@@ -39,9 +39,6 @@ from sugiyama_ros.progress import OnStage
 from sugiyama_ros.results import CLEARLY
 from sugiyama_ros.statistics import ALPHA
 from sugiyama_ros.trajectories.tracks import Tracks
-
-if TYPE_CHECKING:
-    pass
 
 # Number of forces, moods and noises that are fitted in a round.
 _FITTED = 5
@@ -91,19 +88,22 @@ def diagnose(
     """
     began = time.monotonic()
     with ThreadPoolExecutor(workers) as work:
-        data = prepare(recording)
+        whole = prepare(recording)
+        some = whole if whole.vicinity.is_whole_road else prepare(recording, most=SEARCHED_SAMPLES)
         on_progress("fitting the base model", 0, 1)
-        data, base = base_model(data, work, law)
+        data, base = base_model(some, work, law)
         bench = _Bench(data, simulations, seed, work, on_progress)
         found = _scored(bench, base)
-        is_open = found.chance.shows_something
-        if is_open and (finer := with_more_decisions(recording, data, base, work, on_progress, law)) is not None:
+        told = on_progress, law, MOST_SAMPLES if some is whole else SEARCHED_SAMPLES
+        if found.chance.shows_something and (finer := with_more_decisions(recording, data, base, work, *told)):
             data, base = finer
             bench = _Bench(data, simulations, seed, work, on_progress)
             found = _scored(bench, base)
         first = bench.entry("base", (), base)
         rounds = _told(bench, first, found, add) if add else _searched(bench, first, found, most)
-        return _concluded(bench, rounds, tuple(add), simulations, began)
+        search = _Search(bench, rounds)
+        final = search if some.drivers == whole.drivers else _confirmed(recording, search, law, tuple(add))
+        return _concluded(search, final, tuple(add), began)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +134,13 @@ class _Bench:
             rngs = seeds(self.seed, self.simulations)
             self.known[fit] = resampled_fits(self.data, fit, rngs, self.work, self.on_progress)
         return self.known[fit]
+
+
+class _Search(NamedTuple):
+    """Rounds, and what they share."""
+
+    bench: _Bench
+    rounds: Sequence[Round]
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +218,9 @@ def _told(bench: _Bench, first: Entry, found: _Scored, names: Sequence[str]) -> 
         entry = _profiled(bench, current, _fitted(bench, current, candidate, found))
         won = {e: e.over(bench.data, current) for e in (entry, *_other_forms(bench, current, found, [entry]))}
         is_better = entry.is_better(bench.data, current)
-        rounds.append(Round(current, found.best, found.chance, won, entry, won[entry], is_better))
+        closest = _closest_effect(bench, won, entry)
+        step = Round(current, found.best, found.chance, won, entry, won[entry], is_better, closest_effect=closest)
+        rounds.append(step)
         current = entry
         found = _scored(bench, current.fit, rounds)
     return [*rounds, Round(current, found.best, found.chance, {}, None, {})]
@@ -261,16 +270,26 @@ def _round(bench: _Bench, current: Entry, found: _Scored) -> Round:
         added = _profiled(bench, current, added)
         won[added] = added.over(bench.data, current) if added.fit.stds else gain
         added = _without_needless(bench, current, added)
+    gains_ = dict(sorted(won.items(), key=lambda one: -one[1]["all"].nats))
     return Round(
         current=current,
         scores=found.best,
         chance=found.chance,
-        gains=dict(sorted(won.items(), key=lambda one: -one[1]["all"].nats)),
+        gains=gains_,
         added=added,
         gain={} if added is None else added.over(bench.data, current),
         is_better=added is not None and added.is_better(bench.data, current),
         alike=tuple(alike),
+        closest_effect=_closest_effect(bench, gains_, added),
     )
+
+
+def _closest_effect(bench: _Bench, tried: Iterable[Entry], added: Entry | None) -> tuple[str, Difference] | None:
+    """The first of the models with an effect that has a physical name, and how far it is behind what was added."""
+    closest = next((e for e in tried if e.added[-1].explains), None)
+    if added is None or closest is None:
+        return None
+    return closest.added[-1].mechanism, added.over(bench.data, closest)["all"]
 
 
 def _promising(bench: _Bench, current: Entry, first_steps: dict[Candidate, JointFit]) -> list[Candidate]:
@@ -341,23 +360,55 @@ def _best(bench: _Bench, current: Entry, won: dict[Entry, dict[str, Difference]]
     return best, [e for e in alike if e is not best]
 
 
-def _concluded(bench: _Bench, rounds: list[Round], asked: tuple[str, ...], simulations: int, began: float) -> Diagnosis:
-    """The final model, other laws, and the checks."""
+def _confirmed(recording: Tracks, search: _Search, law: str, asked: Sequence[str]) -> _Search:
+    """Fit to all drivers what a search on some of them has found, until something is not better by all of them."""
+    some = search.bench
+    some.on_progress("fitting what was found to all drivers", 0, 1)
+    data, base = base_model(prepare(recording, some.data.decisions), some.work, law)
+    bench = _Bench(data, some.simulations, some.seed, some.work, some.on_progress)
+    current, rounds = bench.entry("base", (), base), list[Round]()
+    for one in search.rounds:
+        entry = None if one.added is None else _again(bench, current, one.added)
+        is_better = entry is not None and entry.is_better(data, current)
+        if entry is None or not (is_better or asked):
+            rounds.append(replace(one, current=current, added=None, gain={}, is_better=False, alike=()))
+            break
+        gain = entry.over(data, current)
+        rounds.append(replace(one, current=current, added=entry, gain=gain, is_better=is_better))
+        current = entry
+    return _Search(bench, rounds)
+
+
+def _again(bench: _Bench, current: Entry, found: Entry) -> Entry:
+    """What was found for some drivers, beside a model of all drivers."""
+    bench.on_progress(f"fitting {found.name} to all drivers", 0, 1)
+    candidate, fit = with_one(bench.data, current.fit, found.added[-1].name, bench.work)
+    entry = bench.entry(found.name, (*current.added, candidate), fit, current.models)
+    entry = _profiled(bench, current, entry)
+    for needless in (c for c in current.added if c.name not in {kept.name for kept in found.added}):
+        entry = _without(bench, entry, needless)
+    return entry
+
+
+def _concluded(search: _Search, found: _Search, asked: tuple[str, ...], began: float) -> Diagnosis:
+    """The final model, other laws, and the checks; ``found``: what was found, fitted to all drivers."""
+    bench, rounds = found
     data, work = bench.data, bench.work
     base, final = rounds[0].current, rounds[-1].after
     bench.on_progress("checking the final model", 0, 1)
     simulated = bench.simulated(final.fit)
     own = [forecasts(one, without_folds(one, fitted, work), work) for one, fitted in simulated]
     ends, rivals = [errors(one) for one in own], laws(data, final, work)
-    found = [*checks(data, final, simulated, own, bench.seed, work), *_left(rounds, data, final, rivals)]
+    left = [*_left(search, len(rounds)), *(_gain_of(one, final, data) for one in rivals)]
     return Diagnosis(
         data=data,
+        searched=search.bench.data,
         rounds=tuple(rounds),
         base=base,
         final=final,
         laws=rivals,
         floor={name: float(np.mean([one[name] for one in ends])) for name in ends[0]},
-        checks=judged(found),
+        checks=judged([*checks(data, final, simulated, own, bench.seed, work), *left]),
         where_before=locate(data, base.fit.model, base.forecasts.samples, work),
         where_after=locate(data, final.fit.model, final.forecasts.samples, work),
         driven_before=driven(data, base.models, work),
@@ -365,7 +416,7 @@ def _concluded(bench: _Bench, rounds: list[Round], asked: tuple[str, ...], simul
         stds=shared_stds(data, final.fit, work),
         smallest=() if any(one.added for one in rounds) else tuple(_smallest(rounds[0])),
         asked=asked,
-        simulations=simulations,
+        simulations=bench.simulations,
         seed=bench.seed,
         wall_s=time.monotonic() - began,
     )
@@ -387,8 +438,11 @@ def _smallest(first: Round) -> Iterator[dict[str, Any]]:
             yield {"name": c.mechanism, "parameter": declared.name, "value": value}
 
 
-def _left(rounds: Sequence[Round], data: Recorded, final: Entry, rivals: Sequence[Entry]) -> list[Check]:
-    """Checks of what is left: the best candidate of the last round, other forms of what was added, other laws."""
+def _left(search: _Search, kept: int) -> list[Check]:
+    """Checks of what a search has left after some rounds: the best candidate of the last one, and other forms of what
+    was added.
+    """
+    data, rounds = search.bench.data, search.rounds[:kept]
     last, p_values = rounds[-1], rounds[-1].chance.p_values
     left = []
     if last.added is None and last.gains:
@@ -406,7 +460,7 @@ def _left(rounds: Sequence[Round], data: Recorded, final: Entry, rivals: Sequenc
         new = one.after.added[-1]
         forms = [e for e in one.gains if e.added[-1].mechanism == new.mechanism and e.added[-1] is not new]
         left += sorted((_gain_of(e, one.after, data) for e in forms), key=lambda check: check.value)[-1:]
-    return left + [_gain_of(one, final, data) for one in rivals]
+    return left
 
 
 def _gain_of(entry: Entry, final: Entry, data: Recorded) -> Check:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.diagnosis.candidates import FORCE, PUSH, Candidate, candidates, chosen, with_candidate
+from sugiyama_ros.diagnosis.candidates import FORCE, OF_SOME, PUSH, Candidate, candidates, chosen, with_candidate
 from sugiyama_ros.diagnosis.score import Score, ScoreOfSome, directions, scores
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.coordinates import is_linear
@@ -62,15 +62,24 @@ def _does_nothing(data: Recorded, model: Model, candidate: Candidate) -> bool:
 def with_named(data: Recorded, fitted: JointFit, names: Sequence[str], work: Executor) -> JointFit:
     """Add candidates by their names to a fitted model, one after the other."""
     possible = candidates(data)
-    # names are checked before anything is fitted; which forces there are, the fitted model says
-    known = {name: None if name.startswith(FORCE) else chosen(data, possible, name) for name in names}
-    for name, one in known.items():
-        along = directions(data, fitted, [one] if one else [], work, with_forces=one is None)
-        found = scores(data, fitted, along, work)
-        candidate = one or chosen(data, [force.candidate for force in found], name)
-        own = sorted((s for s in found if s.candidate.name == candidate.name), key=lambda s: -s.gain)
-        fitted = refined(data, fitted, candidate, own, work)
+    for name in names:
+        # names are checked before anything is fitted; which forces there are, the fitted model says
+        if not name.startswith(FORCE):
+            chosen(data, possible, name)
+    for name in names:
+        fitted = with_one(data, fitted, name, work)[1]
     return fitted
+
+
+def with_one(data: Recorded, fitted: JointFit, name: str, work: Executor) -> tuple[Candidate, JointFit]:
+    """Add a candidate by its name to a fitted model; who has it if only some drivers do, its scores say."""
+    one = None if name.startswith(FORCE) else chosen(data, candidates(data), name.removesuffix(OF_SOME))
+    along = directions(data, fitted, [one] if one else [], work, with_forces=one is None)
+    found = sorted(scores(data, fitted, along, work), key=lambda s: -s.gain)
+    of_some = [s.candidate for s in found if s.candidate.name == name and name.endswith(OF_SOME)]
+    candidate = next(iter(of_some), one) or chosen(data, [force.candidate for force in found], name)
+    own = [s for s in found if s.candidate.name == candidate.name]
+    return candidate, refined(data, fitted, candidate, own, work)
 
 
 def without_folds(data: Recorded, fitted: JointFit, work: Executor, beside: Sequence[Model] = ()) -> tuple[Model, ...]:

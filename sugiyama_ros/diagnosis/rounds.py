@@ -33,7 +33,8 @@ class Round:
     one first; chance: What chance gives; gains: The models that were fitted, the best one first, with their gains over
     the current model, by column; added: The model to go on with; None if no model is clearly better; gain: What it
     gains on unseen data, by column; is_better: Whether it is better on unseen data; alike: Models that cannot be told
-    apart from the one that was added.
+    apart from the one that was added; closest_effect: The best one of the effects with a physical name, and how far it
+    is behind the model at the end of the round.
     """
 
     current: Entry
@@ -44,6 +45,7 @@ class Round:
     gain: dict[str, Difference]
     is_better: bool = False
     alike: tuple[Entry, ...] = ()
+    closest_effect: tuple[str, Difference] | None = None
 
     @property
     def after(self) -> Entry:
@@ -61,11 +63,6 @@ class Round:
         rare = all(self.chance.p_values.get(c.mechanism, 1.0) < ALPHA for c in self.new)
         return rare and self.is_better
 
-    @property
-    def closest_effect(self) -> Entry | None:
-        """The best model with an effect that has a physical name."""
-        return next((e for e in self.gains if e.added[-1].explains), None)
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Diagnosis(Result):
@@ -75,6 +72,8 @@ class Diagnosis(Result):
     ----------
     data : Recorded
         The recording.
+    searched : Recorded
+        The drivers that were searched: all of them, or some of many.
     rounds : tuple of Round
         What was scored, fitted and added, in order.
     base, final : Entry
@@ -104,6 +103,7 @@ class Diagnosis(Result):
     """
 
     data: Recorded
+    searched: Recorded
     rounds: tuple[Round, ...]
     base: Entry
     final: Entry

@@ -183,6 +183,7 @@ def document(d: Diagnosis) -> dict[str, Any]:
         "law": _law(d),
         "vehicles": d.data.drivers,
         "drivers_left_out": d.data.left_out,
+        "drivers_searched": d.searched.drivers,
         "decision_period_s": around.period_s,
         "decisions_per_sample": d.data.decisions,
         "counted_every_s": d.data.apart_s,
@@ -225,7 +226,7 @@ def additions(d: Diagnosis) -> list[Addition]:
                     gains=dict(one.gain),
                     indistinguishable=alike,
                     advice=[declared[name] for name in alike if name in declared],
-                    closest_effect=_closest(d, one) if not any(c.explains for c in one.new) else None,
+                    closest_effect=_closest(one) if not any(c.explains for c in one.new) else None,
                     free_run_rmse_before_m=before,
                     free_run_rmse_after_m=after,
                 )
@@ -268,13 +269,12 @@ def _values(entry: Entry, c: Candidate) -> dict[str, float]:
     return {ROW.declared[k].name: float(row[k]) for k in places}
 
 
-def _closest(d: Diagnosis, one: Round) -> dict[str, Any] | None:
+def _closest(one: Round) -> dict[str, Any] | None:
     """The physical effect that comes closest to what was added in a step, and how far it is behind."""
-    entry = one.closest_effect
-    if entry is None:
+    if one.closest_effect is None:
         return None
-    behind = one.after.over(d.data, entry)["all"]
-    return {"name": entry.added[-1].mechanism, "behind_nats": behind.nats, "behind_se": behind.se}
+    name, behind = one.closest_effect
+    return {"name": name, "behind_nats": behind.nats, "behind_se": behind.se}
 
 
 def _after_10_s(found: dict[str, float]) -> float:

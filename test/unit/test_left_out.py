@@ -5,7 +5,9 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
+import sugiyama_ros as sg
 from benchmarks.speed.timing import jam
+from sugiyama_ros.diagnosis import diagnose as search
 from sugiyama_ros.diagnosis.diagnose import diagnose
 from sugiyama_ros.fit.joint import start_model
 from sugiyama_ros.fit.model import evaluate
@@ -56,3 +58,17 @@ def test_the_verdict_says_how_many_drivers_it_is_about(recording, monkeypatch):
     found = document(diagnose(recording, most=1, simulations=1, workers=2))
     assert found["drivers_left_out"] == CARS - found["vehicles"] == 15
     assert len(found["drivers"]) == 3
+
+
+def test_many_drivers_are_searched_in_part_and_judged_by_all(monkeypatch):
+    ring = sg.simulate(vehicles=12, ring_m=132.0, duration_s=100.0, seed=4, effects={"drag": {"c0": 0.5}}).measured
+    one_leaves = ring.select((np.asarray(ring.run) != 3) | (np.asarray(ring.time_s) < 60.0))
+    everybody = prepare(one_leaves)
+    monkeypatch.setattr(search, "SEARCHED_SAMPLES", everybody.drivers * everybody.samples // 3)
+    found = diagnose(one_leaves, add=["drag"], simulations=1, workers=2)
+    told = document(found)
+    assert (told["drivers_searched"], told["vehicles"]) == (found.searched.drivers, everybody.drivers) == (4, 12)
+    assert len(found.final.fit.model.rows) == len(told["drivers"]) == everybody.drivers
+    (step,) = told["verdict"]["effects"]
+    assert step["parameters"]["c0"] == pytest.approx(0.5, abs=0.25)
+    assert "Searched on 4 of 12 drivers" in found.summary()
