@@ -301,8 +301,8 @@ def _promising(bench: _Bench, current: Entry, first_steps: dict[Candidate, Joint
 
 
 def _profiled(bench: _Bench, current: Entry, entry: Entry) -> Entry:
-    """The model with what all drivers decide by at the vertex of its profile, where derivatives say nothing of it."""
-    places = [k for c in entry.added if c.is_decision and not c.drivers for k in c.places]
+    """The model with what drivers decide by at the vertex of its profile, where derivatives say nothing of it."""
+    places = [k for c in entry.added if c.is_decision for k in c.places]
     fit = entry.fit
     for place in places:
         bench.on_progress("profile of what drivers decide by", 0, 1)
