@@ -31,7 +31,7 @@ from sugiyama_ros.fit.joint import JointFit, maximise
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.preparation import prepare
 from sugiyama_ros.fit.profile import profiled
-from sugiyama_ros.fit.recording import MOST_SAMPLES, SEARCHED_SAMPLES, Recorded
+from sugiyama_ros.fit.recording import MOST_SAMPLES, SEARCHED_DRIVERS, SEARCHED_SAMPLES, Recorded
 from sugiyama_ros.fit.simulated import resampled_fits, seeds
 from sugiyama_ros.fit.standard_errors import away_from_0, shared_stds
 from sugiyama_ros.laws.registry import PAPERS
@@ -89,20 +89,14 @@ def diagnose(
     began = time.monotonic()
     with ThreadPoolExecutor(workers) as work:
         whole = prepare(recording)
-        some = whole if whole.vicinity.is_whole_road else prepare(recording, most=SEARCHED_SAMPLES)
+        of_some = max(SEARCHED_SAMPLES, SEARCHED_DRIVERS * whole.samples // whole.decisions)
+        searched = MOST_SAMPLES if whole.vicinity.is_whole_road else min(of_some, MOST_SAMPLES)
         on_progress("fitting the base model", 0, 1)
-        data, base = base_model(some, work, law)
-        bench = _Bench(data, simulations, seed, work, on_progress)
-        found = _scored(bench, base)
-        told = on_progress, law, MOST_SAMPLES if some is whole else SEARCHED_SAMPLES
-        if found.chance.shows_something and (finer := with_more_decisions(recording, data, base, work, *told)):
-            data, base = finer
-            bench = _Bench(data, simulations, seed, work, on_progress)
-            found = _scored(bench, base)
-        first = bench.entry("base", (), base)
+        bench = _Bench(prepare(recording, most=searched), simulations, seed, work, on_progress)
+        bench, first, found = _begun(recording, bench, law, searched)
         rounds = _told(bench, first, found, add) if add else _searched(bench, first, found, most)
         search = _Search(bench, rounds)
-        final = search if some.drivers == whole.drivers else _confirmed(recording, search, law, tuple(add))
+        final = search if bench.data.drivers == whole.drivers else _confirmed(recording, search, law, tuple(add))
         return _concluded(search, final, tuple(add), began)
 
 
@@ -117,6 +111,10 @@ class _Bench:
     on_progress: OnStage
     known: dict[JointFit, list[tuple[Recorded, JointFit]]] = field(default_factory=dict)
     directions: list[Direction] = field(default_factory=list)
+
+    def on(self, data: Recorded) -> "_Bench":
+        """The same for another recording."""
+        return replace(self, data=data, known={}, directions=[])
 
     @cached_property
     def possible(self) -> tuple[Candidate, ...]:
@@ -167,6 +165,18 @@ class _Scored:
         # the score of freed constants says little: they respond to whatever is missing, far from where they start
         is_free = [c.kind == "constants" and not c.switches for c in open_]
         return [c for k, c in enumerate(open_) if c.rank == 0 or k < _FITTED or is_free[k]]
+
+
+def _begun(recording: Tracks, bench: _Bench, law: str, searched: int) -> tuple[_Bench, Entry, _Scored]:
+    """The base model, at the period from which it predicts best, and what is scored beside it."""
+    data, base = base_model(bench.data, bench.work, law)
+    bench = bench.on(data)
+    found, told = _scored(bench, base), (bench.on_progress, law, searched)
+    if found.chance.shows_something and (finer := with_more_decisions(recording, data, base, bench.work, *told)):
+        data, base = finer
+        bench = bench.on(data)
+        found = _scored(bench, base)
+    return bench, bench.entry("base", (), base), found
 
 
 def _scored(bench: _Bench, fit: JointFit, rounds: Sequence[Round] = ()) -> _Scored:
@@ -365,7 +375,7 @@ def _confirmed(recording: Tracks, search: _Search, law: str, asked: Sequence[str
     some = search.bench
     some.on_progress("fitting what was found to all drivers", 0, 1)
     data, base = base_model(prepare(recording, some.data.decisions), some.work, law)
-    bench = _Bench(data, some.simulations, some.seed, some.work, some.on_progress)
+    bench = some.on(data)
     current, rounds = bench.entry("base", (), base), list[Round]()
     for one in search.rounds:
         entry = None if one.added is None else _again(bench, current, one.added)

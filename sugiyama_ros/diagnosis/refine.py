@@ -7,7 +7,16 @@ from dataclasses import replace
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.diagnosis.candidates import FORCE, OF_SOME, PUSH, Candidate, candidates, chosen, with_candidate
+from sugiyama_ros.diagnosis.candidates import (
+    FORCE,
+    FORCE_ALONG,
+    OF_SOME,
+    PUSH,
+    Candidate,
+    candidates,
+    chosen,
+    with_candidate,
+)
 from sugiyama_ros.diagnosis.score import Score, ScoreOfSome, directions, scores
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.coordinates import is_linear
@@ -73,8 +82,9 @@ def with_named(data: Recorded, fitted: JointFit, names: Sequence[str], work: Exe
 
 def with_one(data: Recorded, fitted: JointFit, name: str, work: Executor) -> tuple[Candidate, JointFit]:
     """Add a candidate by its name to a fitted model; who has it if only some drivers do, its scores say."""
-    one = None if name.startswith(FORCE) else chosen(data, candidates(data), name.removesuffix(OF_SOME))
-    along = directions(data, fitted, [one] if one else [], work, with_forces=one is None)
+    is_force = name.startswith((FORCE, FORCE_ALONG))
+    one = None if is_force else chosen(data, candidates(data), name.removesuffix(OF_SOME))
+    along = directions(data, fitted, [one] if one else [], work, with_forces=is_force)
     found = sorted(scores(data, fitted, along, work), key=lambda s: -s.gain)
     of_some = [s.candidate for s in found if s.candidate.name == name and name.endswith(OF_SOME)]
     candidate = next(iter(of_some), one) or chosen(data, [force.candidate for force in found], name)

@@ -127,8 +127,8 @@ def columns_of(chains: Sequence[Chain]) -> tuple[Array, Array, Ints]:
 BLOCK_S, FOLDS = 25.0, 5
 #: Largest product of drivers and samples of which a diagnosis takes everything; of more, it takes some drivers.
 MOST_SAMPLES = 200_000
-#: Largest product of drivers on tracks and samples that a diagnosis searches; of more, it searches some drivers.
-SEARCHED_SAMPLES = 25_000
+#: Of many drivers on tracks, a diagnosis searches so many, or as many as have so many samples together.
+SEARCHED_DRIVERS, SEARCHED_SAMPLES = 20, 25_000
 
 
 @dataclass(frozen=True, eq=False)

@@ -64,7 +64,8 @@ def test_many_drivers_are_searched_in_part_and_judged_by_all(monkeypatch):
     ring = sg.simulate(vehicles=12, ring_m=132.0, duration_s=100.0, seed=4, effects={"drag": {"c0": 0.5}}).measured
     one_leaves = ring.select((np.asarray(ring.run) != 3) | (np.asarray(ring.time_s) < 60.0))
     everybody = prepare(one_leaves)
-    monkeypatch.setattr(search, "SEARCHED_SAMPLES", everybody.drivers * everybody.samples // 3)
+    monkeypatch.setattr(search, "SEARCHED_DRIVERS", 4)
+    monkeypatch.setattr(search, "SEARCHED_SAMPLES", 0)
     found = diagnose(one_leaves, add=["drag"], simulations=1, workers=2)
     told = document(found)
     assert (told["drivers_searched"], told["vehicles"]) == (found.searched.drivers, everybody.drivers) == (4, 12)
