@@ -100,7 +100,7 @@ def _convert_seen(options: _ConvertOptions) -> None:
     from sugiyama_ros.bridges.perception import PerceptionSettings
     from sugiyama_ros.formats.centre_line import read_lanes
     from sugiyama_ros.formats.tracks_parquet import write_tracks
-    from sugiyama_ros.trajectories.selection import select
+    from sugiyama_ros.trajectories.selection import chosen
 
     if not options.odometry or options.centre_line is None:
         raise InputError("convert: --odometry and --centerline go together; give both")
@@ -114,7 +114,7 @@ def _convert_seen(options: _ConvertOptions) -> None:
         settings = dataclasses.replace(settings, period_s=options.period)
     bridge = read_bridge(options.bridge) if options.bridge is not None else None
     tracks = tracks_of_bag(options.source, options.odometry, read_lanes(options.centre_line), settings, bridge)
-    tracks = select(tracks, _selection(options))
+    tracks = chosen(tracks, _selection(options))
     write_tracks(tracks, output)
     _tell_tracks(tracks, options)
 
@@ -149,7 +149,7 @@ def _part(options: _ConvertOptions) -> "Part":
         choices = dataclasses.replace(choices, ring_m=options.ring)
     if options.road_file is not None:
         choices = dataclasses.replace(choices, network=read_road(options.road_file))
-    return Part(options.format, choices, _selection(options), options.period)
+    return Part(options.format, dataclasses.replace(choices, selection=_selection(options)), options.period)
 
 
 def _selection(options: _ConvertOptions) -> "Selection":

@@ -13,6 +13,7 @@ from sugiyama_ros.files import number, read_yaml
 from sugiyama_ros.road import Road
 from sugiyama_ros.roads.network import Network
 from sugiyama_ros.trajectories.about import Reference, View
+from sugiyama_ros.trajectories.selection import EVERYTHING, Selection
 from sugiyama_ros.trajectories.tracks import FLAGS, NUMBERS, TEXTS, Tracks
 
 #: Columns of a table of tracks.
@@ -43,6 +44,8 @@ class Choices:
         Whether vehicles may be ahead of the first one.
     network : Network, optional
         The road, for files of vehicles in the plane.
+    selection : Selection
+        Which rows to keep; everything by default.
 
     Raises
     ------
@@ -55,6 +58,7 @@ class Choices:
     ring_m: float | None = None
     view: View | None = None
     network: Network | None = None
+    selection: Selection = EVERYTHING
 
     def __post_init__(self) -> None:
         Road(self.ring_m or 0.0)

@@ -15,7 +15,8 @@ from sugiyama_ros.formats.reading import checksum_of, command_for, shown_name
 from sugiyama_ros.formats.sheet import Sheet, head_of, read_sheet
 from sugiyama_ros.trajectories.about import About, Leaders, Reference
 from sugiyama_ros.trajectories.assemble import LATEST_S, assemble
-from sugiyama_ros.trajectories.labels import Labels, labels
+from sugiyama_ros.trajectories.kinds import others
+from sugiyama_ros.trajectories.labels import Labels, joined, labels
 from sugiyama_ros.trajectories.time_base import is_regular, on_time_base
 from sugiyama_ros.trajectories.tracks import INFINITE, NUMBERS, Tracks
 
@@ -119,6 +120,16 @@ def rename(columns: Rows, name: str, names: Mapping[str, str]) -> None:
         columns[name] = labels(column.code, [names.get(text, text) for text in column.text])
 
 
+def drivers_of(columns: Rows, about: About) -> tuple[Rows, About]:
+    """The rows of vehicles in the plane, without those who drive nothing. Raises InputError if nobody drives."""
+    kind, vehicle, recording = columns.get("class"), text_of(columns, "vehicle"), columns.get("recording")
+    if not isinstance(kind, Labels):
+        return columns, about
+    who = joined(recording, vehicle, "/") if isinstance(recording, Labels) else vehicle
+    gone, about = others(kind, who.code.astype(np.int64), about)
+    return {name: column[~gone] for name, column in columns.items()}, about
+
+
 def put_together(
     columns: Rows,
     about: About,
@@ -149,7 +160,7 @@ def put_together(
         about = replace(about, view=choices.view)
     columns["time_s"], note = _in_seconds(np.asarray(columns["time_s"]))
     about = about.noting(note)
-    tracks = assemble(columns, about, choices.reference or reference)
+    tracks = assemble(columns, about, choices.reference or reference, selection=choices.selection)
     if tracks.about.leaders == "given":
         choices.check_ring(tracks)
     if np.any(np.diff(tracks.start) > 1) and not is_regular(tracks):

@@ -11,7 +11,6 @@ from sugiyama_ros.formats.measured import channels_of, messages
 from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.formats.tracks_parquet import write_tracks
 from sugiyama_ros.trajectories.dense import DenseTracks, check_jumps, one_road
-from sugiyama_ros.trajectories.selection import Selection, select
 from sugiyama_ros.trajectories.time_base import on_time_base, period_of
 from sugiyama_ros.trajectories.tracks import Tracks
 
@@ -29,13 +28,12 @@ def write_bag(trajectories: DenseTracks, target: Target) -> None:
 class Part:
     """Which part of a file is wanted, and how the file is read.
 
-    name: name of the format, or "auto"; choices: what the user says about the file; selection: which rows to keep;
-    period_s: time [s] between two samples; the file's own by default.
+    name: name of the format, or "auto"; choices: what the user says about the file, and which rows to keep; period_s:
+    time [s] between two samples; the file's own by default.
     """
 
     name: str = "auto"
     choices: Choices = field(default_factory=Choices)
-    selection: Selection = field(default_factory=Selection)
     period_s: float | None = None
 
 
@@ -51,7 +49,7 @@ def convert(source: Path, target: Target, part: Part = Part()) -> Tracks:
         raise InputError(
             f"{output.path}: cannot be written as {suffix or 'nothing'}; give a .parquet, .csv or .mcap name"
         )
-    tracks = select(read_tracks(source, part.choices, part.name), part.selection)
+    tracks = read_tracks(source, part.choices, part.name)
     if part.period_s is not None:
         tracks = on_time_base(tracks, part.period_s)
     if suffix == ".mcap":

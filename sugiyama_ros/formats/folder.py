@@ -16,6 +16,7 @@ from sugiyama_ros.formats.sheet import head_of
 from sugiyama_ros.trajectories.about import About, checksum_of_parts
 from sugiyama_ros.trajectories.exchange import of_columns
 from sugiyama_ros.trajectories.labels import Labels, joined, same_label
+from sugiyama_ros.trajectories.selection import EVERYTHING
 from sugiyama_ros.trajectories.tracks import FLAGS, NUMBERS, TEXTS, Tracks
 
 _SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".data")
@@ -46,14 +47,15 @@ def _read_folder(path: Path, choices: Choices) -> Tracks:
 
 def read_files(files: Sequence[Path], choices: Choices, source: str = "") -> Tracks:
     """Read several files as recordings of one table. Raises InputError."""
-    from sugiyama_ros.formats.registry import read_tracks
+    from sugiyama_ros.formats.registry import read_all
 
     stems = [file.stem for file in files]
     twice = next((file for file in files if stems.count(file.stem) > 1), None)
     if twice is not None:
         raise InputError(f"{twice}: another file has the same name, so their recordings would mix; rename one")
     name = "table" if choices.columns else "auto"
-    parts = [_named(read_tracks(file, choices, name), file) for file in files]
+    choices = replace(choices, selection=EVERYTHING)
+    parts = [_named(read_all(file, choices, name), file) for file in files]
     if len({part.about.ring_m for part in parts}) > 1:
         raise InputError(f"{files[0]}: the files are of different roads; give the files of each road on their own")
     return _joined(source or shown_name(files[0]), parts)
@@ -89,7 +91,8 @@ def _joined(source: str, parts: list[Tracks]) -> Tracks:
     ).noting(*(note for one in each for note in one.notes))
     for reason, rows in (lost for one in each for lost in one.dropped):
         about = about.without(reason, rows)
-    return of_columns(dict(columns), about)
+    together = of_columns(dict(columns), about)
+    return replace(together, about=replace(together.about, checked=all(one.checked for one in each)))
 
 
 def _column(name: str, parts: list[Tracks]) -> Array | Labels:

@@ -11,6 +11,7 @@ from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.columns import (
     Rows,
     about_file,
+    drivers_of,
     need,
     put_together,
     read_columns,
@@ -19,7 +20,7 @@ from sugiyama_ros.formats.columns import (
     text_of,
     without_nobody,
 )
-from sugiyama_ros.formats.on_road import moved, on_road, without_pedestrians
+from sugiyama_ros.formats.on_road import moved, on_road
 from sugiyama_ros.formats.reading import command_for, shown_stem
 from sugiyama_ros.formats.sheet import Sheet, head_of, sheet_of, text_sheet
 from sugiyama_ros.roads.network import Network
@@ -91,7 +92,7 @@ def _named(columns: Rows, path: Path) -> Rows:
 def _on_road(columns: Rows, path: Path, about: About, choices: Choices, network: Network) -> Tracks:
     """Tracks of vehicles in the plane, on the lanes of a road."""
     columns["heading_m"] = np.radians(np.asarray(columns["heading_m"]))
-    columns, about = without_pedestrians(_named(columns, path), about)
+    columns, about = drivers_of(_named(columns, path), about)
     columns = moved(columns, _meta(path, "xUtmOrigin", 0.0), _meta(path, "yUtmOrigin", 0.0), network)
     return put_together(*on_road(columns, network, about), choices)
 
@@ -158,7 +159,7 @@ def _classes(path: Path, vehicle: Labels) -> Labels | None:
     names, kinds = text_of(meta, "vehicle"), text_of(meta, "class")
     of_name = dict(zip(names.values().tolist(), kinds.code.tolist(), strict=True))
     code = np.array([of_name.get(text, -1) for text in vehicle.text] + [-1], dtype=np.int32)[vehicle.code]
-    return labels(code, [text.lower() for text in kinds.text])
+    return labels(code, kinds.text)
 
 
 def _sheet(path: Path, head: bytes) -> Sheet | None:

@@ -9,8 +9,17 @@ from pathlib import Path
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
-from sugiyama_ros.formats.columns import about_file, fits, need, put_together, read_columns, sheet_format, take
-from sugiyama_ros.formats.on_road import on_road, without_pedestrians
+from sugiyama_ros.formats.columns import (
+    about_file,
+    drivers_of,
+    fits,
+    need,
+    put_together,
+    read_columns,
+    sheet_format,
+    take,
+)
+from sugiyama_ros.formats.on_road import on_road
 from sugiyama_ros.formats.reading import command_for
 from sugiyama_ros.formats.sheet import Sheet, text_sheet
 from sugiyama_ros.trajectories.tracks import Tracks
@@ -40,7 +49,7 @@ def _read(sheet: Sheet, choices: Choices) -> Tracks:
     columns = read_columns(sheet, _WANTED)
     about = about_file(sheet.path, licence="research use, as granted by interaction-dataset.com")
     about = replace(about, smoothing="positions as published (smoothed)")
-    columns, about = without_pedestrians(columns, about)
+    columns, about = drivers_of(columns, about)
     return put_together(*on_road(columns, choices.network, about), choices)
 
 

@@ -52,15 +52,6 @@ def on_road(columns: Rows, network: Network, about: About, reference: Reference 
     return columns | {"s_m": found.s_m, "d_m": found.d_m, **seen}, about
 
 
-def without_pedestrians(columns: Rows, about: About) -> tuple[Rows, About]:
-    """Rows of vehicles alone."""
-    kind = columns.get("class")
-    if not isinstance(kind, Labels):
-        return columns, about
-    walks = np.array([text.lower() == "pedestrian" for text in kind.text] + [False])[kind.code]
-    return {name: column[~walks] for name, column in columns.items()}, about.without("a pedestrian", int(walks.sum()))
-
-
 def moved(columns: Rows, east_m: float, north_m: float, network: Network) -> Rows:
     """Places that count from an origin, as places of the road, if it lies nearer to them then."""
     place = np.stack((np.asarray(columns["x_m"]), np.asarray(columns["y_m"])))

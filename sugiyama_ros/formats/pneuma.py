@@ -82,7 +82,7 @@ def _read(path: Path) -> tuple[Array, Ints, list[str], list[str]]:
             if (len(values) // _GROUP) + groups > MAX_ROWS:
                 raise InputError(f"{where}: more than {MAX_ROWS} rows; split the file")
             names.append(fields[0])
-            kinds.append(fields[1].lower())
+            kinds.append(fields[1])
             rows.append(groups)
             values.extend(_numbers(fields[len(_HEAD) :], where))
     if not values:

@@ -13,6 +13,7 @@ from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.format import Format
 from sugiyama_ros.formats.reading import why_no_text
 from sugiyama_ros.formats.sheet import head_of
+from sugiyama_ros.trajectories.selection import chosen
 from sugiyama_ros.trajectories.tracks import Tracks
 
 #: Group of entry points by which other packages add formats.
@@ -57,6 +58,11 @@ def read_tracks(
 ) -> Tracks:
     """Read a file or a folder of any known format, or several files as recordings. Raises InputError."""
     choices = choices or Choices()
+    return chosen(read_all(source, choices, name), choices.selection)
+
+
+def read_all(source: str | Path | Sequence[str | Path], choices: Choices, name: str) -> Tracks:
+    """Read everything that files have, before somebody chooses and gaps are checked. Raises InputError."""
     given: list[str | Path] = [source] if isinstance(source, str | Path) else list(source)
     if "" in given:
         raise InputError("source: is empty; give the name of a file or a folder")
@@ -70,20 +76,20 @@ def read_tracks(
         return read_files(paths, choices)
     known = {one.name: one for one in formats()}
     if name != "auto":
-        chosen = plugins.find(known, GROUP, name, "format")
+        form = plugins.find(known, GROUP, name, "format")
     else:
-        chosen = known["table"] if choices.columns else format_of(paths[0])
-    if choices.network is not None and not chosen.takes_road:
+        form = known["table"] if choices.columns else format_of(paths[0])
+    if choices.network is not None and not form.takes_road:
         able = ", ".join(one.name for one in formats() if one.takes_road)
         raise InputError(
-            f"{paths[0]}: a file of the format {chosen.name}, which takes no road; those do: {able}; leave out the road"
+            f"{paths[0]}: a file of the format {form.name}, which takes no road; those do: {able}; leave out the road"
         )
-    if choices.reference is not None and not chosen.takes_reference:
+    if choices.reference is not None and not form.takes_reference:
         raise InputError(
-            f"{paths[0]}: a file of the format {chosen.name}, whose positions are of centres; leave out the reference"
+            f"{paths[0]}: a file of the format {form.name}, whose positions are of centres; leave out the reference"
             f" ({choices.reference})"
         )
-    return chosen.read(paths[0], choices)
+    return form.read(paths[0], choices)
 
 
 def format_of(path: Path) -> Format:

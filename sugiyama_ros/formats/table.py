@@ -31,6 +31,7 @@ from sugiyama_ros.formats.reading import why_no_text
 from sugiyama_ros.formats.sheet import Sheet, head_of, sheet_of
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.dense import DenseTracks
+from sugiyama_ros.trajectories.selection import chosen
 from sugiyama_ros.trajectories.tracks import Tracks
 
 # Columns by their own names, or by others that say the same.
@@ -132,7 +133,9 @@ def tracks_of_frame(frame: Any, choices: Choices | None = None) -> Tracks:
     frame: columns vehicle, time_s [s] and s_m (or position_m) [m], and perhaps the other columns of tracks. Raises
     InputError.
     """
-    return _tracks_of_sheet(_sheet_of_frame(frame), choices or Choices(), About(source=str(_WHERE)))
+    choices = choices or Choices()
+    tracks = _tracks_of_sheet(_sheet_of_frame(frame), choices, About(source=str(_WHERE)))
+    return chosen(tracks, choices.selection)
 
 
 def _sheet_of_frame(frame: Any) -> Sheet:

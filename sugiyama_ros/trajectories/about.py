@@ -33,14 +33,15 @@ def file_in(source: str) -> str:
 class About:
     """What is known of tracks beside their rows.
 
-    reference: which point of a vehicle s_m is the position of; tracks that were read from a file are always at the
-    centre; unit: unit of all lengths; smoothing: how the positions were smoothed; empty if nobody says; view: "end":
-    vehicles beyond the first one were out of view, so that the leader of the first is unknown; "whole": everybody was
-    in view, so that the first vehicle has a free road; leaders: "found": the next vehicle ahead leads, and what the
-    file says is only compared; "given": the file says who leads; ring_m: circumference [m] of a ring road; 0 for open
-    roads; period_s: time [s] between two samples, if the source states it; 0 if not; source, sha256, licence: name and
-    checksum of the file, or of the rows where there is no file, and its terms of use; dropped: the ledger: reasons for
-    which rows were left out, and how many rows; notes: what was changed or looks odd.
+    reference: which point of a vehicle the positions were of in the source; those of tracks are of the centre; unit:
+    unit of all lengths; smoothing: how the positions were smoothed; empty if nobody says; view: "end": vehicles beyond
+    the first one were out of view, so that the leader of the first is unknown; "whole": everybody was in view, so that
+    the first vehicle has a free road; leaders: "found": the next vehicle ahead leads, and what the file says is only
+    compared; "given": the file says who leads; ring_m: circumference [m] of a ring road; 0 for open roads; period_s:
+    time [s] between two samples, if the source states it; 0 if not; source, sha256, licence: name and checksum of the
+    file, or of the rows where there is no file, and its terms of use; dropped: the ledger: reasons for which rows were
+    left out, and how many rows; notes: what was changed or looks odd; checked: whether gaps below zero have been looked
+    for, or need not be.
     """
 
     reference: Reference = "centre"
@@ -55,6 +56,7 @@ class About:
     licence: str = ""
     dropped: tuple[tuple[str, int], ...] = ()
     notes: tuple[str, ...] = ()
+    checked: bool = False
 
     def without(self, reason: str, rows: int) -> "About":
         """The same, with rows left out for a reason; nothing changes for 0 rows."""

@@ -12,15 +12,16 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M, LONGEST_M, About, Reference, checksum_of_parts
 from sugiyama_ros.trajectories.jumps import FASTEST, jumps_noted, wrong_ring
+from sugiyama_ros.trajectories.kinds import spelled
 from sugiyama_ros.trajectories.labels import Labels, labels, labels_of, matched, numbered, same_label
 from sugiyama_ros.trajectories.leaders import (
     LEAST_AGREEMENT,
     agreement,
     are_trusted,
-    check_gaps,
     find_leaders,
     given_leaders,
 )
+from sugiyama_ros.trajectories.selection import EVERYTHING, Selection, selected
 from sugiyama_ros.trajectories.speeds import MOST_OFF, UNITS, Motion, difference
 from sugiyama_ros.trajectories.tracks import FLAGS, LINE, NOBODY, TEXTS, UNKNOWN, Tracks, starts
 
@@ -54,24 +55,28 @@ TO_CENTRE = {"front": -0.5, "centre": 0.0, "rear": 0.5}
 
 
 def assemble(
-    columns: Columns, about: About | None = None, reference: Reference = "centre", checked: bool = True
+    columns: Columns,
+    about: About | None = None,
+    reference: Reference = "centre",
+    checked: bool = True,
+    selection: Selection = EVERYTHING,
 ) -> Tracks:
     """Make tracks of columns.
 
     columns: (R,), ``vehicle``, ``time_s`` [s] and ``s_m`` [m]; perhaps ``recording``, ``road``, ``lane``, ``class``,
     ``driver``, ``leader``, ``d_m``, ``length_m``, ``width_m`` [m], the columns of `LINE`, ``leader_shift_m`` [m],
     ``measured`` and ``controlled``; rows may stand in any order; positions are compared with ``speed`` [m/s] and, if
-    its unit is not known, ``some_speed``, where they are given. Raises InputError.
+    its unit is not known, ``some_speed``, where they are given, in the rows of a selection. Raises InputError.
     """
     table = _table(columns, about or About())
     check_possible(table.number, table.source)
     for step in (_known, _sorted, _once, *([_in_usual_units] if checked else []), _lives, _with_times):
         table = step(table)
     run = _run(table)
-    table = _lengths(_speeds(table, run) if checked else table, starts(run))
+    table = _lengths(_speeds(table, run, selection) if checked else table, starts(run))
     table = _along(table, run) if checked else table
     number, text = table.number, table.text
-    about = _referred(table.about, reference)
+    about = replace(_referred(table.about, reference), checked=not checked)
     tracks = Tracks(
         recording=text["recording"],
         vehicle=text["vehicle"],
@@ -92,7 +97,7 @@ def assemble(
         controlled=_in_whole_runs(number["controlled"] == 1.0, run) if "controlled" in number else None,
     )
     tracks = led(tracks, text.get("leader"), compared=checked)
-    checks = (check_gaps, jumps_noted, wrong_ring) if checked else (wrong_ring,)
+    checks = (jumps_noted, wrong_ring) if checked else (wrong_ring,)
     return replace(tracks, about=tracks.about.noting(*(check(tracks) for check in checks)))
 
 
@@ -154,6 +159,8 @@ def _table(columns: Columns, about: About) -> _Table:
     if "recording" in text and not (text["recording"].code >= 0).any():
         del text["recording"]
     text.setdefault("recording", same_label(len(number["s_m"]), "1"))
+    if "class" in text:
+        text["class"] = spelled(text["class"])
     if "leader" in text:
         text["leader"] = matched(text["leader"], text["vehicle"])
     table = _Table(text, number, about)
@@ -340,7 +347,7 @@ def _lengths(table: _Table, start: Ints) -> _Table:
     return table._replace(number={**table.number, "length_m": filled}, about=about)
 
 
-def _speeds(table: _Table, run: Ints) -> _Table:
+def _speeds(table: _Table, run: Ints, selection: Selection) -> _Table:
     """Compare the positions with the speeds that the file gives, which are left out then."""
     number, about = table.number.copy(), table.about
     speed, some = number.pop("speed", None), number.pop("some_speed", None)
@@ -348,7 +355,9 @@ def _speeds(table: _Table, run: Ints) -> _Table:
     if given is None:
         return table
     road = table.text["road"].code.astype(np.int64) + 1 if "road" in table.text else 0
-    motion = Motion(run * (int(np.max(road)) + 1) + road, number["time_s"], number["s_m"], given)
+    piece = run * (int(np.max(road)) + 1) + road
+    keep = selected(selection, table.text.get, number["time_s"])
+    motion = Motion(piece[keep], number["time_s"][keep], number["s_m"][keep], given[keep])
     units = UNITS[:1] if speed is not None else UNITS
     found = [one for unit in units if (one := difference(motion, about.ring_m, unit)) is not None]
     if found and min(one.part for one in found) > MOST_OFF:
@@ -398,4 +407,5 @@ def _along(table: _Table, run: Ints) -> _Table:
 def _referred(about: About, reference: Reference) -> About:
     """The same, with a note that positions were moved to the centres."""
     note = f"positions are {reference} bumpers in the file; they were moved to the centres" * (reference != "centre")
-    return replace(about, reference="centre", unit="m").noting(note)
+    of_source = about.reference if reference == "centre" else reference
+    return replace(about, reference=of_source, unit="m").noting(note)

@@ -65,6 +65,7 @@ def _is_valid(about: About) -> bool:
     return (
         all(isinstance(text, str) for text in texts)
         and all(chosen in get_args(known) for chosen, known in choices)
+        and isinstance(about.checked, bool)
         and isinstance(about.ring_m, int | float)
         and 0.0 <= about.ring_m < math.inf
         and isinstance(about.period_s, int | float)

@@ -1,5 +1,6 @@
 """Who leads whom: the next vehicle ahead in the same recording, road, lane and at the same time."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,10 @@ TICK_S = 1e-3
 MOST_UNSEEN = 10_000_000
 # Share of rows that may have a gap below zero, and share of given leaders that must be found again.
 _MOST_NEGATIVE, LEAST_AGREEMENT = 0.005, 0.98
+# Vehicles, at most, that a message asks to leave out; and speed [m/s] below which a vehicle stands.
+_FEW, _STANDS = 3, 0.3
+# Standard deviations of a gap below zero that noise may explain.
+_WITHIN_STD = 4.0
 
 
 def ticks(time_s: Array) -> Ints:
@@ -183,15 +188,18 @@ def check_gaps(tracks: Tracks) -> str:
         return ""
     gap = gaps(tracks)
     followed = int(np.isfinite(gap).sum())
-    negative = np.flatnonzero(gap < 0.0)
+    noise_m = _WITHIN_STD * _gap_std_m(tracks)
+    negative = np.flatnonzero(gap < -noise_m)
     if followed == 0 or len(negative) <= _MOST_NEGATIVE * followed:
         return ""
     _check_room(tracks)
     row = int(negative[np.argmin(gap[negative])])
+    ahead = int(tracks.leader_row[row])
     said = (
         f"{100.0 * len(negative) / followed:.3g} % of the gaps are below zero, as"
-        f" {gap[row]:.1f} m behind vehicle {tracks.vehicle.at(int(tracks.leader_row[row]))} at {tracks.time_s[row]:g} s"
-        f" (vehicle {tracks.run_name(int(tracks.run[row]))}): {_cure(tracks, gap, followed)}"
+        f" {gap[row]:.1f} m behind vehicle {tracks.vehicle.at(ahead)}{_class_of(tracks, ahead)} at"
+        f" {tracks.time_s[row]:g} s (vehicle {tracks.run_name(int(tracks.run[row]))}{_class_of(tracks, row)}):"
+        f" {_cure(tracks, gap + noise_m, followed)}"
     )
     if tracks.about.view == "whole" and tracks.lane is None:
         return f"warning: {said}"
@@ -212,19 +220,54 @@ def _check_room(tracks: Tracks) -> None:
 
 
 def _cure(tracks: Tracks, gap: Array, followed: int) -> str:
-    """What makes most of the gaps positive."""
+    """What makes most of the gaps (R,) [m], with what noise may take away, positive."""
     ahead = np.maximum(tracks.leader_row, 0)
     half = 0.5 * (tracks.length_m[ahead] - tracks.length_m)
-    for reference, shift in (("front", -half), ("rear", half)):
+    references = (("front", -half), ("rear", half)) if tracks.about.reference == "centre" else ()
+    for reference, shift in references:
         # Centres that are front bumpers in truth lie half a length further back.
         if np.sum(gap + shift < 0.0) <= _MOST_NEGATIVE * followed:
             return f"positions look like {reference} bumpers; give --reference {reference}"
     overlaps = (gap < 0.0) & (gap >= -0.5 * (tracks.length_m[ahead] + tracks.length_m))
     if tracks.about.ring_m == 0.0 and np.sum(overlaps) <= _MOST_NEGATIVE * followed:
         return "leaders are behind their followers, as on a ring; convert it with --ring METRES"
+    if few := _in_the_way(tracks, gap):
+        return f"only {', '.join(few)} overlap with others; leave them out with --without {','.join(few)}"
     if tracks.lane is None:
         return (
             "several lanes, or recordings that have nothing to do with each other, or clocks that differ, share one"
             " lane here, or positions are not metres; give the column lane or recording, or the unit (--columns)"
         )
     return "check units, lengths and the reference of the positions (--columns, --reference)"
+
+
+def _class_of(tracks: Tracks, row: int) -> str:
+    """The class of the vehicle of a row, in brackets; nothing where it is not known."""
+    known = tracks.vehicle_class is not None and tracks.vehicle_class.at(row)
+    return f" ({known})" if known else ""
+
+
+def _in_the_way(tracks: Tracks, gap: Array) -> list[str]:
+    """The few vehicles without which hardly any gap (R,) is below zero; nobody if there are not so few."""
+    led = np.flatnonzero(np.isfinite(gap))
+    own, ahead = tracks.run[led], tracks.run[tracks.leader_row[led]]
+    there, found = np.ones(len(led), dtype=bool), list[int]()
+    while (bad := there & (gap[led] < 0.0)).sum() > _MOST_NEGATIVE * there.sum():
+        if len(found) == _FEW or 2 * len(found) + 4 > tracks.runs:
+            return []
+        found.append(int(np.argmax(np.bincount(np.concatenate((own[bad], ahead[bad]))))))
+        there &= (own != found[-1]) & (ahead != found[-1])
+    return [tracks.vehicle.at(int(tracks.start[run])) for run in sorted(found)] if there.any() else []
+
+
+def _gap_std_m(tracks: Tracks) -> float:
+    """Standard deviation [m] of a gap by the noise of positions, as vehicles show it that stand; 0 if none does."""
+    if len(tracks) < 3:
+        return 0.0
+    same = tracks.run[2:] == tracks.run[:-2]
+    stands = same & (np.abs(tracks.s_m[2:] - tracks.s_m[:-2]) < _STANDS * (tracks.time_s[2:] - tracks.time_s[:-2]))
+    if not stands.any():
+        return 0.0
+    second = (tracks.s_m[2:] - 2.0 * tracks.s_m[1:-1] + tracks.s_m[:-2])[stands]
+    # a gap has the noise of two positions, a second difference that of one weighted 1, -2, 1
+    return float(np.median(np.abs(second)) / 0.6745 * math.sqrt(2.0 / 6.0))

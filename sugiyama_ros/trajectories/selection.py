@@ -1,12 +1,15 @@
 """Parts of tracks: some lanes, classes, recordings or vehicles, and a part of the time."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sugiyama_ros.arrays import Mask
+from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.trajectories.kinds import class_name, drivers_only
 from sugiyama_ros.trajectories.labels import Labels
+from sugiyama_ros.trajectories.leaders import check_gaps
 from sugiyama_ros.trajectories.tracks import Tracks
 
 
@@ -27,20 +30,29 @@ class Selection:
     to_s: float = np.inf
 
 
-def select(tracks: Tracks, selection: Selection) -> Tracks:
-    """Keep a part of tracks. A leader who is left out is unknown from then on. Raises InputError."""
-    keep = np.ones(len(tracks), dtype=bool)
-    for option, column, wanted in (
-        ("recording", tracks.recording, selection.recording),
-        ("road", tracks.road, selection.road),
-        ("lane", tracks.lane, selection.lane),
-        ("class", tracks.vehicle_class, selection.vehicle_class),
+#: Keeps every row.
+EVERYTHING = Selection()
+
+
+def selected(selection: Selection, column_of: Callable[[str], Labels | None], time_s: Array) -> Mask:
+    """The rows (R,) that a selection keeps, of columns by their names in files. Raises InputError."""
+    keep: Mask = (time_s >= selection.from_s) & (time_s <= selection.to_s)
+    for name, wanted in (
+        ("recording", selection.recording),
+        ("road", selection.road),
+        ("lane", selection.lane),
+        ("class", tuple(map(class_name, selection.vehicle_class))),
     ):
         if wanted:
-            keep &= _is_one_of(column, wanted, option)
+            keep &= _is_one_of(column_of(name), wanted, name)
     if selection.without:
-        keep &= ~_is_one_of(tracks.vehicle, selection.without, "without")
-    keep &= (tracks.time_s >= selection.from_s) & (tracks.time_s <= selection.to_s)
+        keep &= ~_is_one_of(column_of("vehicle"), selection.without, "without")
+    return keep
+
+
+def select(tracks: Tracks, selection: Selection) -> Tracks:
+    """Keep a part of tracks. A leader who is left out is unknown from then on. Raises InputError."""
+    keep = selected(selection, tracks.column, tracks.time_s)  # type: ignore[arg-type]
     if keep.all():
         return tracks
     if not keep.any():
@@ -50,6 +62,13 @@ def select(tracks: Tracks, selection: Selection) -> Tracks:
         )
     kept = tracks.select(keep)
     return replace(kept, about=kept.about.without("not selected", int(np.sum(~keep))))
+
+
+def chosen(tracks: Tracks, selection: Selection) -> Tracks:
+    """Keep the drivers among the rows that somebody wants, and check their gaps. Raises InputError."""
+    kept = drivers_only(select(tracks, selection))
+    note = "" if kept.about.checked else check_gaps(kept)
+    return replace(kept, about=replace(kept.about, checked=True).noting(note))
 
 
 def _is_one_of(column: Labels | None, wanted: tuple[str, ...], option: str) -> Mask:

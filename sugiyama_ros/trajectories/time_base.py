@@ -11,7 +11,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.assemble import led
 from sugiyama_ros.trajectories.labels import Labels
-from sugiyama_ros.trajectories.leaders import TICK_S, check_gaps, given_leaders, ticks
+from sugiyama_ros.trajectories.leaders import TICK_S, given_leaders, ticks
 from sugiyama_ros.trajectories.tracks import FLAGS, NUMBERS, TEXTS, Tracks, starts
 
 _RESAMPLE = "sugiyama convert FILE even.parquet --period SECONDS"
@@ -200,7 +200,7 @@ def resample(tracks: Tracks, period_s: float) -> Tracks:
         new = replace(new, leader_row=given_leaders(new, tracks.leader[nearest]))
     else:
         new = led(new, None)
-    return replace(new, about=new.about.noting(check_gaps(new)))
+    return new
 
 
 def _smoothed(about: About, own_s: float, period_s: float) -> About:

@@ -53,7 +53,7 @@ def test_positions_lie_along_the_common_path(tmp_path: Path, degrees: bool) -> N
     assert format_of(path).name == "openacc"
     tracks = read_tracks(path)
     assert tracks.vehicle.used() == ("1", "2", "3")
-    assert tracks.vehicle_class.values()[::600].tolist() == ["AUDI_A6", "BMW_X5", "TESLA_3"]
+    assert tracks.vehicle_class.values()[::600].tolist() == ["audi_a6", "bmw_x5", "tesla_3"]
     assert tracks.leader.values()[::600].tolist() == [None, "1", "2"]
     # The path is made of chords of the circle, each a metre long or a bit more.
     np.testing.assert_allclose(np.diff(tracks.s_m[:600]), 1.2, atol=0.05)

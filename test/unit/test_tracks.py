@@ -11,7 +11,7 @@ from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.assemble import assemble
 from sugiyama_ros.trajectories.leaders import gaps
-from sugiyama_ros.trajectories.selection import Selection, select
+from sugiyama_ros.trajectories.selection import EVERYTHING, Selection, chosen, select
 from sugiyama_ros.trajectories.tracks import FREE, NOBODY, UNKNOWN, Tracks
 
 
@@ -121,17 +121,20 @@ def test_positions_that_decrease_along_the_drive_are_turned_round() -> None:
 
 
 def test_overlapping_vehicles_are_refused_with_the_cure() -> None:
+    def checked(table: dict[str, np.ndarray]) -> None:
+        chosen(assemble(table), EVERYTHING)
+
     table = columns(40, 60)
     with pytest.raises(InputError, match=r"below zero, as -.* m behind vehicle .* give the column lane or recording"):
-        assemble({**table, "length_m": np.full(2400, 21.0)})
+        checked({**table, "length_m": np.full(2400, 21.0)})
     with pytest.raises(InputError, match="check units, lengths and the reference"):
-        assemble({**table, "length_m": np.full(2400, 21.0), "lane": np.full(2400, 1)})
+        checked({**table, "length_m": np.full(2400, 21.0), "lane": np.full(2400, 1)})
     # Trucks of 16 m follow cars of 4 m, and the front bumpers are 6 m apart where they are nearest.
     length = np.repeat(np.where(np.arange(40) % 2, 16.0, 4.0), 60)
     front = np.asarray(table["s_m"]) - np.repeat(np.where(np.arange(40) % 2, -11.0, 0.0), 60)
     mixed = {**table, "s_m": front, "length_m": length}
     with pytest.raises(InputError, match="positions look like front bumpers; give --reference front"):
-        assemble(mixed)
+        checked(mixed)
     assert np.nanmin(gaps(assemble(mixed, reference="front"))) > 0.0
 
 
