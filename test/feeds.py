@@ -19,11 +19,17 @@ TRACKED, PX4 = "autoware_perception_msgs/msg/TrackedObjects", "px4_msgs/msg/Vehi
 TF = "tf2_msgs/msg/TFMessage"
 _TEXTS = {
     "vision_msgs/msg/Detection3DArray": "std_msgs/Header header\nvision_msgs/Detection3D[] detections\n",
-    "vision_msgs/msg/Detection3D": "std_msgs/Header header\nvision_msgs/BoundingBox3D bbox\nstring id\n",
+    "vision_msgs/msg/Detection3D": (
+        "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\nvision_msgs/BoundingBox3D bbox\n"
+        "string id\n"
+    ),
+    "vision_msgs/msg/ObjectHypothesisWithPose": "vision_msgs/ObjectHypothesis hypothesis\n",
+    "vision_msgs/msg/ObjectHypothesis": "string class_id\nfloat64 score\n",
     "vision_msgs/msg/BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size\n",
     TRACKED: "std_msgs/Header header\nautoware_perception_msgs/TrackedObject[] objects\n",
     "autoware_perception_msgs/msg/TrackedObject": (
         "unique_identifier_msgs/UUID object_id\n"
+        "autoware_perception_msgs/ObjectClassification[] classification\n"
         "autoware_perception_msgs/TrackedObjectKinematics kinematics\n"
         "autoware_perception_msgs/Shape shape\n"
     ),
@@ -31,6 +37,7 @@ _TEXTS = {
         "uint8 UNAVAILABLE=0\nuint8 SIGN_UNKNOWN=1\nuint8 AVAILABLE=2\n"
         "geometry_msgs/PoseWithCovariance pose_with_covariance\nuint8 orientation_availability\n"
     ),
+    "autoware_perception_msgs/msg/ObjectClassification": "uint8 label\nfloat32 probability\n",
     "autoware_perception_msgs/msg/Shape": "geometry_msgs/Vector3 dimensions\n",
     PX4: "uint64 timestamp\nfloat32[3] position\nfloat32[4] q\n",
     "test_msgs/msg/Radar": "float64 time\nint32[] number\n",
@@ -153,6 +160,7 @@ def detections(
     topic: str = "/det",
     seen: Callable[[int, float], dict[str, Any]] = lambda car, t: place(at(car, t)),
     frame: str = "map",
+    kind_of: Callable[[int], str] = lambda car: "car",
 ) -> list[Recorded]:
     """All cars in each message."""
 
@@ -161,6 +169,7 @@ def detections(
             {
                 "header": header(t, frame),
                 "id": name_of(car),
+                "results": [{"hypothesis": {"class_id": k, "score": p}} for k, p in (("", 0.2), (kind_of(car), 0.8))],
                 "bbox": {"center": seen(car, t), "size": {"x": LENGTH_M, "y": 2.0, "z": 1.5}},
             }
             for car in cars

@@ -47,7 +47,8 @@ class Bridge:
     object does not have them; id: name or number of the vehicle; if empty, each topic is one vehicle; x, y: position
     [m] of the vehicle; orientation, heading: quaternion, or angle, of the direction in which the vehicle points;
     heading_known: path and value, such as ``orientation_availability=2``: the direction counts only where the field has
-    the value; length, vehicle_class: length [m] and class of the vehicle; var: variance [m^2] of the position; stamp,
+    the value; length, vehicle_class: length [m] and class of the vehicle, or a list of classes with their
+    probabilities; var: variance [m^2] of the position; stamp,
     frame: time stamp, and frame of the position; an empty ``stamp`` is the log time of a bag, or the time of receipt;
     stamp_unit: unit of a stamp that is a number; heading_unit: unit of ``heading``; orientation_order: order of a
     quaternion that is an array of four numbers.
@@ -88,9 +89,25 @@ class Bridge:
                 heading=self._heading(one),
                 length_m=self._number(one, self.length, _LONGEST_M),
                 var=self._number(one, self.var),
-                vehicle_class=str(_look_up(one, self.vehicle_class, self)) if self.vehicle_class else "",
+                vehicle_class=self._class(one) if self.vehicle_class else "",
                 frame=self._either(one, message, self.frame, str).lstrip("/") if self.frame else "",
             )
+
+    def _class(self, one: Any) -> str:
+        """The class of an object, or the most probable one of a list; codes have names."""
+        try:
+            said = _look_up(one, self.vehicle_class, self)
+        except InputError:
+            # older versions of the messages that are known here do not say it
+            if self is BRIDGES.get(self.type):
+                return ""
+            raise
+        if isinstance(said, Iterable) and not isinstance(said, str):
+            best = max((getattr(guess, "hypothesis", guess) for guess in said), key=_probability, default="")
+            said = getattr(best, "label", getattr(best, "class_id", ""))
+        names = _CLASSES.get(self.type, ())
+        text = str(said).strip()
+        return names[int(text)] if text.isdecimal() and int(text) < len(names) else text
 
     def _heading(self, one: Any) -> float:
         if self.heading_known:
@@ -143,6 +160,10 @@ class Bridge:
                 found.append(_look_up(source, path, self))
         said = [read(value) for value in found or [_look_up(message, path, self)]]
         return said[0] or said[-1]
+
+
+def _probability(guess: Any) -> float:
+    return float(getattr(guess, "probability", getattr(guess, "score", 0.0)))
 
 
 def _look_up(message: Any, path: str, bridge: Bridge) -> Any:
@@ -210,6 +231,18 @@ def _name(value: Any) -> str:
     return str(value).strip()
 
 
+# Names of the classes that messages give by their numbers, from 0, by the type of message.
+_CLASSES = {
+    "autoware_perception_msgs/msg/TrackedObjects": (
+        *("unknown", "car", "truck", "bus", "trailer", "motorcycle", "bicycle", "pedestrian"),
+        *("animal", "hazard", "over_drivable", "under_drivable"),
+    ),
+    "derived_object_msgs/msg/ObjectArray": (
+        *("unknown", "unknown_small", "unknown_medium", "unknown_big", "pedestrian", "bicycle", "car", "truck"),
+        *("motorcycle", "other_vehicle", "barrier", "sign"),
+    ),
+}
+
 #: What the messages of other packages say, by their type.
 BRIDGES = {
     bridge.type: bridge
@@ -231,6 +264,7 @@ BRIDGES = {
             y="bbox.center.position.y",
             orientation="bbox.center.orientation",
             length="bbox.size.x",
+            vehicle_class="results",
         ),
         # Objects that Autoware tracks. Their direction does not count where its sign is unknown.
         Bridge(
@@ -243,6 +277,7 @@ BRIDGES = {
             heading_known="kinematics.orientation_availability=2",
             var="kinematics.pose_with_covariance.covariance[0]",
             length="shape.dimensions.x",
+            vehicle_class="classification",
         ),
         # Objects of derived_object_msgs, as CARLA publishes them.
         Bridge(

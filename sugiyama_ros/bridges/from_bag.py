@@ -43,6 +43,7 @@ from sugiyama_ros.trajectories.assemble import LONGEST_ABSENCE_S, assemble
 from sugiyama_ros.trajectories.centre_line import RoadLanes
 from sugiyama_ros.trajectories.dense import MAX_SAMPLES
 from sugiyama_ros.trajectories.jumps import jumps_noted
+from sugiyama_ros.trajectories.kinds import drivers_only
 from sugiyama_ros.trajectories.labels import Labels, labels, same_label
 from sugiyama_ros.trajectories.leaders import MOST_UNSEEN, TICK_S, find_leaders
 from sugiyama_ros.trajectories.placing import Placer, SeenVehicle
@@ -114,7 +115,7 @@ def tracks_of_bag(
     notes += [_rates_noted(periods, period_s), *_notes(lost, sum(map(len, regular)), len(there))]
     about = _about(path, bag.files[0], lanes, counts, lost).without("second sighting at the same time", repeated)
     tracks = assemble(_columns(regular, placed, names, lanes), about.noting(*notes), checked=False)
-    return replace(tracks, about=tracks.about.noting(jumps_noted(tracks)))
+    return drivers_only(replace(tracks, about=tracks.about.noting(jumps_noted(tracks))))
 
 
 def _topics(bag: Bag, pattern: str, known: dict[str, Bridge]) -> dict[str, Bridge]:

@@ -18,6 +18,7 @@ from sugiyama_ros.road import PERIODS_S
 from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M
 from sugiyama_ros.trajectories.assemble import LONGEST_ABSENCE_S
 from sugiyama_ros.trajectories.centre_line import RoadLanes
+from sugiyama_ros.trajectories.kinds import is_driver
 from sugiyama_ros.trajectories.placing import NOBODY, OnLane, Placer, Positions, SeenVehicle, Unseen
 from sugiyama_ros.trajectories.tracks import FREE, UNKNOWN
 
@@ -82,7 +83,7 @@ class Counts:
     on the road; that were seen before the last sample; whose position is in a frame from which nothing leads to the
     road's; unnamed, doubled: vehicles without an id, or with the id of another one in the same message; unstamped,
     repeated: vehicles whose stamp is 0, and which count as seen when the message came; with the stamp that they had
-    before; carried: rows of vehicles without a sample.
+    before; carried: rows of vehicles without a sample; no_driver: rows of who drives nothing, as pedestrians.
     """
 
     seen: int = 0
@@ -95,6 +96,7 @@ class Counts:
     unstamped: int = 0
     repeated: int = 0
     carried: int = 0
+    no_driver: int = 0
 
 
 class Numbers:
@@ -270,6 +272,11 @@ class Moments:
         self._remember(seen, placed)
         stamp_ns = self._stamp_ns(step)
         carried, gone = self._absent(stamp_ns, {one.name for one in seen})
+        # who drives nothing may be in the way, but nobody follows it
+        others = [one for one in (*placed, *carried) if not _drives(one)]
+        self.counts.no_driver += len(others)
+        gone += [Unseen(None, one.s_m, one.lane) for one in others]
+        placed, carried = list(filter(_drives, placed)), list(filter(_drives, carried))
         self.counts.carried += len(carried)
         there = [*placed, *carried]
         leaders = self.placer.leaders([*(Unseen(one.seen.name, one.s_m, one.lane) for one in there), *gone])
@@ -306,6 +313,10 @@ class Moments:
             else:
                 gone.append(Unseen(None, s_m, known.placed.lane))
         return carried, gone
+
+
+def _drives(one: OnLane) -> bool:
+    return is_driver(one.seen.vehicle_class)
 
 
 class RoadSample(NamedTuple):

@@ -252,7 +252,7 @@ def test_fields_of_another_version_are_named(tmp_path: Path) -> None:
     text = text_of(DETECTIONS).replace(b"string id\n", b"string tracking_id\n")
     bag = write(tmp_path / "a.mcap", detections(every(0.1)), style=Style(definition=text))
     said = refused(bag, "/det")
-    assert f"{DETECTIONS}: no field id, but header, bbox, tracking_id; give --bridge" in said
+    assert f"{DETECTIONS}: no field id, but header, results, bbox, tracking_id; give --bridge" in said
     bridge = tmp_path / "det.yaml"
     bridge.write_text(
         f"type: {DETECTIONS}\nobjects: detections\nid: tracking_id\n"
@@ -449,6 +449,21 @@ def test_headings_of_which_the_sign_is_unknown(tmp_path: Path, availability: int
     assert tracks.runs == CARS, said
     assert re.search(r"beside the road 401", said)
     assert sorted(float(tracks.s_m[k]) for k in tracks.start[:-1]) == pytest.approx([at(2, 0), at(1, 0), at(0, 0)])
+
+
+# --- classes
+
+
+@pytest.mark.parametrize("kind", ["Pedestrian", "barrier"])
+def test_who_drives_nothing_is_no_vehicle(tmp_path: Path, kind: str) -> None:
+    """The second of three detections is no vehicle: whoever is behind it has an unknown leader."""
+    feed = detections(every(0.1), kind_of=lambda car: "car" if car != 1 else kind)
+    tracks, said = converted(write(tmp_path / "d.mcap", feed), "/det")
+    assert tracks.vehicle.used() == ("0", "2")
+    assert f"left out: 1 {kind.lower()}" in said
+    assert leaders(tracks)[2] == {"unknown": 1.0}
+    assert tracks.vehicle_class is not None
+    assert tracks.vehicle_class.used() == ("car",)
 
 
 # --- all at once

@@ -52,10 +52,13 @@ CASES = {
                         orientation_availability=2,
                     ),
                     shape=Message(dimensions=Message(x=5.0, y=2.0, z=1.5)),
+                    classification=[Message(label=1, probability=0.3), Message(label=6, probability=0.6)],
                 )
             ],
         ),
-        SeenVehicle(2_500_000_000, "/car " + bytes(range(16)).hex(), 1.0, 2.0, math.pi / 2.0, 5.0, 0.09, "", "map"),
+        SeenVehicle(
+            2_500_000_000, "/car " + bytes(range(16)).hex(), 1.0, 2.0, math.pi / 2.0, 5.0, 0.09, "bicycle", "map"
+        ),
     ),
     "derived_object_msgs/msg/ObjectArray": (
         Message(
@@ -70,7 +73,7 @@ CASES = {
                 )
             ],
         ),
-        SeenVehicle(2_500_000_000, "/car 3", 1.0, 2.0, math.pi / 2.0, 4.0, math.nan, "6", "map"),
+        SeenVehicle(2_500_000_000, "/car 3", 1.0, 2.0, math.pi / 2.0, 4.0, math.nan, "car", "map"),
     ),
 }
 
@@ -206,6 +209,17 @@ def test_a_vehicle_without_a_sample_is_not_gone() -> None:
     assert all(leaders[k]["c"] == "" for k in settled if k < 52)
     assert all(leaders[k]["a"] != "c" for k in settled)
     assert moments.counts.carried > 20
+
+
+def test_nobody_follows_a_walker() -> None:
+    moments, found = road(), []
+    for k in range(30):
+        t = 0.1 * k
+        walker = SeenVehicle(round(t * 1e9), "w", 30.0, 0.0, vehicle_class="pedestrian")
+        found += list(moments.take([at(t, "a", 10.0 * t), walker, at(t, "b", 40.0 + t), at(t, "c", 60.0 + t)]))
+    last = {one.seen.name: one.leader for one in (*found[-1].placed, *found[-1].carried)}
+    assert last == {"a": None, "b": "c", "c": ""}
+    assert moments.counts.no_driver == len(found)
 
 
 def perceived(frame: str = "") -> Perception:
