@@ -27,6 +27,7 @@ from sugiyama_ros.formats.sheet import MAX_ROWS
 from sugiyama_ros.roads.network import Lanelet, Network
 from sugiyama_ros.roads.routes import CHANGE, Place, SeenRows, Ways, places_near
 from sugiyama_ros.trajectories.assemble import AGREES
+from sugiyama_ros.trajectories.kinds import is_driver
 from sugiyama_ros.trajectories.labels import Labels, labels, labels_of
 from sugiyama_ros.trajectories.tracks import Tracks
 
@@ -162,6 +163,8 @@ def _ways(graph: _Graph, seen: SeenRows, lanelet: Ints) -> Iterator[tuple[int, l
                 yield from ((int(row), way) for row in rows[begin:end].tolist())
 
 
+# Numbers of a state: time, x, y, heading, speed, length and width.
+_WIDTH = 7
 # Time [s] between two steps where the file does not say it.
 _USUAL_S = 0.1
 
@@ -177,23 +180,29 @@ def _read_commonroad(path: Path, choices: Choices) -> Tracks:
     rows = array("d")
     vehicles: list[str] = []
     kinds: list[str] = []
+    still: list[tuple[str, str, array[float]]] = []
     counts, points = Counter[str](), 0
-    for element in elements(path, "lanelet", "dynamicObstacle", "obstacle"):
+    for element in elements(path, "lanelet", "dynamicObstacle", "staticObstacle", "obstacle"):
         if element.tag == "lanelet":
             one = lanelets[element.get("id", "")] = lanelet_of(element, path)
             points += len(one.x_m)
-        elif element.findtext("role", "dynamic").strip().lower() == "static":
-            counts["static"] += 1
+            continue
+        name, kind = element.get("id", ""), element.findtext("type", "").strip()
+        if element.tag == "staticObstacle" or element.findtext("role", "").strip().lower() == "static":
+            still.append((name, "static_obstacle" if is_driver(kind) else kind, array("d")))
+            _add(element, path, period, still[-1][2], counts)
         else:
             states = _add(element, path, period, rows, counts)
-            vehicles += [element.get("id", "")] * states
-            kinds += [element.findtext("type", "").strip().lower()] * states
+            vehicles += [name] * states
+            kinds += [kind] * states
         if points > MAX_POINTS or len(vehicles) > MAX_ROWS:
             raise InputError(f"{path}: more than {MAX_POINTS} points of lanelets or {MAX_ROWS} states; split the file")
     if not vehicles or not lanelets:
         raise InputError(f"{path}: no lanelets, or no obstacles with a trajectory; give a recorded scenario")
-    vehicle = labels_of(vehicles)
-    time, x, y, heading, speed, length, width = np.frombuffer(rows).reshape(-1, 7).T
+    drive, standing = len(vehicles), _add_standing(still, path, rows)
+    vehicle = labels_of([*vehicles, *(name for name, _ in standing)])
+    kinds += [kind for _, kind in standing]
+    time, x, y, heading, speed, length, width = np.frombuffer(rows).reshape(-1, _WIDTH).T
     code, place = vehicle.code.astype(np.int64), np.stack((x, y), axis=1)
     seen = SeenRows(code, time, place, _headings(code, time, place, heading))
     # what becomes too large is on no lanelet; a place on no lane has no position along a lane
@@ -201,16 +210,35 @@ def _read_commonroad(path: Path, choices: Choices) -> Tracks:
         columns = _placed(Network(linked(lanelets)), seen, vehicle.text)
     columns |= {"vehicle": vehicle, "class": labels_of(kinds), "time_s": time, "speed": speed}
     columns |= {"length_m": length, "width_m": width}
-    areas, static = counts["areas"], counts["static"]
+    # what stands beside all lanes is in nobody's way
+    kept = np.isfinite(np.asarray(columns["s_m"])) | (np.arange(len(vehicle)) < drive)
+    beside = len(np.unique(code[~kept]))
+    columns = {name: column[kept] for name, column in columns.items()}
+    areas = counts["areas"]
     about = about_file(path, leaders="given").noting(
         f"places of {areas} states are areas in the file; their middles count" * (areas > 0),
-        f"{static} obstacles stand still by their role; they were left out" * (static > 0),
+        f"static obstacles beside all lanes, which were left out: {beside}" * (beside > 0),
     )
     about = about.without("a state without an exact time or a place", counts["unknown"])
     tracks = put_together(columns, about, choices)
     # The file names no leaders: those on the way of a driver are not compared with the next ones on the same lane.
     notes = tuple(note for note in tracks.about.notes if AGREES not in note)
     return replace(tracks, about=replace(tracks.about, notes=notes))
+
+
+def _add_standing(
+    still: Sequence[tuple[str, str, "array[float]"]], path: Path, rows: "array[float]"
+) -> list[tuple[str, str]]:
+    """Add obstacles that stand, by name, class and state, at each time of the rows; returns name and class of each."""
+    times = sorted(set(rows[::_WIDTH]))
+    if len(times) * len(still) > MAX_ROWS:
+        raise InputError(f"{path}: more than {MAX_ROWS} states of obstacles that stand; split the file")
+    known = [(name, kind, state) for name, kind, state in still if state]
+    for _, _, state in known:
+        for now in times:
+            # the direction of what stands says nothing of its lane
+            rows.extend((now, *state[1:3], np.nan, 0.0, *state[5:_WIDTH]))
+    return [(name, kind) for name, kind, _ in known for _ in times]
 
 
 def _add(obstacle: Element, path: Path, period_s: float, rows: "array[float]", counts: Counter[str]) -> int:

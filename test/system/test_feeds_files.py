@@ -18,6 +18,7 @@ import sugiyama_ros as sg
 from sugiyama_ros import cli
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.trajectories.leaders import gaps
+from sugiyama_ros.trajectories.tracks import UNKNOWN
 
 pd = pytest.importorskip("pandas")
 pytestmark = pytest.mark.system
@@ -408,6 +409,32 @@ def test_uncertain_places_give_their_middles_or_are_counted(tmp_path, place, kno
         assert "places of 60 states are areas in the file; their middles count" in tracks.about.notes
     else:
         assert dict(tracks.about.dropped) == {"a state without an exact time or a place": 60}
+
+
+@pytest.mark.parametrize("kind", ["constructionZone", "car"])
+@pytest.mark.parametrize("is_old", [False, True])
+def test_what_stands_is_no_driver_and_may_be_in_the_way(tmp_path, kind, is_old):
+    """Of two obstacles that stand, one is on the lane, across it, and the other is in a garden."""
+    tag, role = ("obstacle", "<role>static</role>") if is_old else ("staticObstacle", "")
+    standing = (
+        f'<{tag} id="{name}">{role}<type>{kind}</type><shape><rectangle><length>3</length><width>2</width></rectangle>'
+        f"</shape><initialState><position>{point(x, y)}</position><orientation><exact>2.0</exact></orientation><time>"
+        f"<exact>0</exact></time></initialState></{tag}>"
+        for name, x, y in ((21, 150.0, 0.2), (22, 150.0, 30.0))
+    )
+    path = tmp_path / "still.xml"
+    path.write_text(scenario(STREET, obstacle(11, drive(20, 0)), obstacle(12, drive(50, 0)), *standing))
+    tracks = sg.read(path)
+    assert tracks.vehicle.used() == ("11", "12")
+    assert [tracks.leader.at(row) for row in (0, 60)] == ["12", ""]
+    name = "construction_zone" if kind != "car" else "static_obstacle"
+    assert any(f"left out: 1 {name}; the leader" in note for note in tracks.about.notes)
+    assert "static obstacles beside all lanes, which were left out: 1" in tracks.about.notes
+    path.write_text(path.read_text().replace(point(150.0, 0.2), point(60.0, 0.2)))
+    ahead = sg.read(path).leader_row[:60]
+    assert (ahead[:11] >= 0).all()
+    assert (ahead[11:40] == UNKNOWN).all()
+    assert (ahead[41:] >= 0).all()
 
 
 def turned(s: float, radius: float = 40.0) -> tuple[float, float, float]:

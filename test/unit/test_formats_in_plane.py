@@ -133,3 +133,22 @@ def test_info_takes_a_road(
         cli.main()
     assert not end.value.code
     assert "Vehicles:    3" in capsys.readouterr().out
+
+
+def test_who_may_walk_or_ride_is_no_driver_and_a_bicycle_is(tmp_path: Path, network: Network) -> None:
+    path = interaction(tmp_path, network)
+    text = path.read_text()
+    path.write_text(text.replace(",car,", ",Bicycle,"))
+    tracks = sg.read(path, road=network)
+    assert tracks.vehicle_class is not None
+    assert (tracks.runs, tracks.vehicle_class.used()) == (3, ("bicycle",))
+    rows = text.splitlines()
+    path.write_text(
+        "\n".join(row.replace(",car,", ",pedestrian/bicycle,") if row[:3] == "1,2" else row for row in rows)
+    )
+    tracks = sg.read(path, road=network)
+    assert tracks.vehicle.used() == ("0", "1")
+    assert any("left out: 1 pedestrian/bicycle" in note for note in tracks.about.notes)
+    path.write_text(text.replace(",car,", ",pedestrian/bicycle,"))
+    with pytest.raises(InputError, match="nobody drives a vehicle: 3 pedestrian/bicycle; give a file with vehicles"):
+        sg.read(path, road=network)
