@@ -29,7 +29,6 @@ from sugiyama_ros.trajectories.labels import Labels, labels, same_label
 from sugiyama_ros.trajectories.tracks import Tracks
 
 _RATE_HZ = 25.0
-_LICENCE = "research use, as granted by levelxdata.com"
 # x and y are of the upper left corner of the box; width is along the road.
 _HIGHD = {
     "vehicle": need("id"),
@@ -71,8 +70,7 @@ def _read(sheet: Sheet, choices: Choices) -> Tracks:
             f" their road: {command_for(path)} --road-file MAP.osm"
         )
     columns = read_columns(sheet, _HIGHD if is_highd else _EXID if network is None else _ON_ROAD)
-    about = about_file(path, leaders="found" if is_highd or network is not None else "given", licence=_LICENCE)
-    about = replace(about, smoothing="positions as published (smoothed)")
+    about = about_file(path, leaders="found" if is_highd or network is not None else "given")
     columns["time_s"] = np.asarray(columns.pop("frame_s")) / _rate(path)
     if network is not None:
         return _on_road(columns, path, about, choices, network)

@@ -47,9 +47,7 @@ def _read(sheet: Sheet, choices: Choices) -> Tracks:
             f" {command_for(sheet.path)} --road-file MAP.osm"
         )
     columns = read_columns(sheet, _WANTED)
-    about = about_file(sheet.path, licence="research use, as granted by interaction-dataset.com")
-    about = replace(about, smoothing="positions as published (smoothed)")
-    columns, about = drivers_of(columns, about)
+    columns, about = drivers_of(columns, about_file(sheet.path))
     return put_together(*on_road(columns, choices.network, about), choices)
 
 

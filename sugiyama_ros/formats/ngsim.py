@@ -53,7 +53,7 @@ def _read(sheet: Sheet, choices: Choices) -> Tracks:
     """Feet, front bumpers, times in milliseconds, numbers of vehicles that are used again."""
     clock_column = next((one for one in _CLOCKS if sheet.find(*one.names)), _CLOCKS[0])
     columns = read_columns(sheet, _WANTED | {"clock_s": clock_column})
-    about = about_file(sheet.path, smoothing="positions as published", licence="US DOT, public")
+    about = about_file(sheet.path)
     clock = np.asarray(columns.pop("clock_s"))
     place = columns.pop("place", None)
     place = place if isinstance(place, Labels) else same_label(len(clock), shown_stem(sheet.path))

@@ -24,7 +24,6 @@ _FARTHEST_M = 2e7
 _HEADER = 6
 # Car and, if the file knows it, the driver's letter behind a quantity.
 _COLUMN = re.compile(r"(Time|Speed|E|N|Lat|Lon|IVS|Driver)(\d*)")
-_LICENCE = "CC BY 4.0; cite Makridis et al., OpenACC"
 # Least distance [m] between the antennas of two cars that stand bumper to bumper, for a length to be believed.
 _SHORTEST_M, _LONGEST_M = 2.5, 7.0
 
@@ -43,7 +42,7 @@ def _read_openacc(path: Path, choices: Choices) -> Tracks:
     if path_of_all is None:
         raise InputError(f"{path}: no car moves; give a recording of a drive")
     position, off = (np.stack(one, axis=1) for one in zip(*map(path_of_all.positions, places), strict=True))
-    about = about_file(path, leaders="given", licence=_LICENCE).noting(
+    about = about_file(path, leaders="given").noting(
         f"positions are lengths along the common path; half of the samples lie within {np.nanmedian(off):.2g} m of it"
     )
     # The antennas' distance is the gap and the cars' lengths around it.

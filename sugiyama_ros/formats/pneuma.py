@@ -21,7 +21,6 @@ _GROUP = 6
 # Longest line [bytes]: a vehicle that is seen for two hours at 25 Hz has 15 MB.
 _LONGEST = 32 << 20
 _EARTH_M = 6_371_000.0
-_LICENCE = "open-traffic.epfl.ch: cite Barmpounakis and Geroliminis (2020)"
 _SIDES = ("east", "north", "west", "south")
 
 
@@ -55,7 +54,7 @@ def _read_pneuma(path: Path, choices: Choices) -> Tracks:
         "road": labels(side.astype(np.int32), _SIDES),
         "lane": Labels(np.full(len(time), -1, dtype=np.int32), ()),
     }
-    about = about_file(path, licence=_LICENCE, smoothing="positions as published").noting(
+    about = about_file(path).noting(
         "the file has no lanes, so all leaders are unknown; write a CSV, fill its column lane, and read it again"
     )
     return put_together(columns, about, choices)

@@ -52,7 +52,6 @@ def _read(sheet: Sheet, choices: Choices) -> Tracks:
     about = about_file(sheet.path)
     if fits(sheet, _TGSIM):
         columns = _along_travel(read_columns(sheet, _TGSIM))
-        about = replace(about, smoothing="Kalman filter, as published", licence="US DOT, public")
         return put_together(columns, about, choices)
     columns = read_columns(sheet, _ARED)
     without_nobody(columns, "-1")

@@ -103,6 +103,8 @@ def test_the_same_vehicles_are_read_from_every_variant(name: str, variant: str, 
     path.write_bytes(VARIANTS[variant](KNOWN[name]()).encode())
     assert format_of(path).name == name
     tracks = read_tracks(path)
+    # the names of columns do not say whose data they are
+    assert (tracks.about.licence, tracks.about.smoothing) == ("", "")
     first = tracks.start[:-1]
     assert tracks.vehicle.values()[first].tolist() == ["1", "2", "3", "4", "5"]
     names = np.array([*tracks.vehicle.values().tolist(), "nobody"], dtype=object)
