@@ -11,7 +11,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.format import Format
-from sugiyama_ros.formats.reading import checksum_of, command_for, shown_name
+from sugiyama_ros.formats.reading import checksum_of, clock_of_digits, command_for, shown_name
 from sugiyama_ros.formats.sheet import Sheet, head_of, read_sheet
 from sugiyama_ros.trajectories.about import About, Leaders, Reference
 from sugiyama_ros.trajectories.assemble import LATEST_S, assemble
@@ -171,11 +171,13 @@ def put_together(
 
 
 def _in_seconds(time: Array) -> tuple[Array, str]:
-    """Times (R,) [s], where they may count parts of a second since 1970, and a note that says so."""
+    """Times (R,) [s], where they may count parts of a second since 1970, or be a clock; and a note that says so."""
     latest = float(np.nanmax(np.abs(time), initial=0.0))
     for above, part, name in _PARTS:
         if above < latest < LATEST_S / part:
             return time * part, f"times are {name} in the file; they were made seconds"
+    if (clock := clock_of_digits(time)) is not None:
+        return clock, "times are digits of a clock in the file, as 65959.9 for 06:59:59.9; they were made seconds"
     return time, ""
 
 

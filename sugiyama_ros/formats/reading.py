@@ -182,12 +182,43 @@ def times_of(texts: Iterable[str]) -> tuple[Array, str]:
     time = np.array([np.nan if one is None else one for one in found], dtype=np.float64)
     clock = np.array([_CLOCK.fullmatch(text.strip()) is not None for text in texts], dtype=bool)
     if clock.any() and clock.all() and np.nanmax(time) < DAY_S:
-        ordered = np.unique(time[np.isfinite(time)])
-        hole = np.diff(ordered)
-        # nobody records for half a day; what comes after such a hole was before midnight
-        if len(hole) and hole.max() > 0.5 * DAY_S:
-            time = np.where(time <= ordered[np.argmax(hole)], time + DAY_S, time)
+        time = _past_midnight(time)
     return time, bad
+
+
+def _past_midnight(time: Array) -> Array:
+    """Times of the day [s], (R,), that go on counting at midnight."""
+    ordered = np.unique(time[np.isfinite(time)])
+    hole = np.diff(ordered)
+    # nobody records for half a day; what comes after such a hole was before midnight
+    if len(hole) and hole.max() > 0.5 * DAY_S:
+        return np.where(time <= ordered[np.argmax(hole)], time + DAY_S, time)
+    return time
+
+
+def clock_of_digits(time: Array) -> Array | None:
+    """Times of the day [s], (R,), of numbers such as 65959.9 or 65959900 for 06:59:59.9; None for other numbers.
+
+    Such numbers have no minute and no second above 59, and jump by 40 more where a minute ends.
+    """
+    for part in (1.0, 1e-3):
+        digits = np.round(time * part, 6)
+        beyond = (digits < 0.0) | (digits >= 240_000.0) | (digits % 100.0 >= 60.0) | (digits // 100.0 % 100.0 >= 60.0)
+        if beyond.any():
+            continue
+        known = np.unique(digits[np.isfinite(digits)])
+        clock = _past_midnight(_of_digits(known))
+        order = np.argsort(clock)
+        real = np.diff(clock[order])
+        ends = np.abs(np.diff(known[order]) - real) > 1.0
+        # a hole in seconds that are counted seldom ends just where a minute does
+        if ends.any() and np.median(real[ends]) <= 2.0 * np.median(real):
+            return _past_midnight(_of_digits(digits))
+    return None
+
+
+def _of_digits(digits: Array) -> Array:
+    return 3600.0 * (digits // 10_000.0) + 60.0 * (digits // 100.0 % 100.0) + digits % 100.0
 
 
 def _since_1970(text: str) -> float | None:

@@ -125,6 +125,31 @@ def test_times_that_people_read(sugiyama, write, start):
     np.testing.assert_array_equal(frame.time_s, tracks.time_s)
 
 
+@pytest.mark.parametrize("start", [86_395.0, 6 * 3600 + 59 * 60 + 55.0])
+@pytest.mark.parametrize("unit", [1.0, 1000.0])
+def test_clocks_written_as_digits(sugiyama, start, unit):
+    """HHMMSS.f or HHMMSSfff, over midnight or over an hour: the recording lasts as long as it did."""
+
+    def digits(t: float) -> float:
+        ms = round(1000.0 * (start + t)) % 86_400_000
+        hours, minutes, rest = ms // 3_600_000, ms // 60_000 % 60, ms % 60_000
+        return round((10_000.0 * hours + 100.0 * minutes + rest / 1000.0) * unit, 1)
+
+    CARS.assign(time_s=[digits(t) for t in CARS.time_s]).to_csv("digits.csv", index=False)
+    said = info(sugiyama, "digits.csv")
+    is_the_cars(said | {"Time": "0 to 9.9 s"})
+    first, last = (float(word) for word in said["Time"].split() if word not in ("to", "s"))
+    assert (first, last) == pytest.approx((start, start + 9.9))
+    assert "digits of a clock" in said["Note"]
+
+
+def test_seconds_with_holes_are_no_clock(sugiyama):
+    """Two recordings, at 0 to 10 s and at 100 to 110 s, as digits of a clock would be of two minutes."""
+    table = pd.concat([CARS, CARS.assign(time_s=CARS.time_s + 100.0)])
+    table.to_csv("twice.csv", index=False)
+    assert info(sugiyama, "twice.csv")["Time"] == "0 to 109.9 s"
+
+
 def test_a_time_that_is_none_is_named(sugiyama):
     CARS.assign(time_s=["noon"] * 300).to_csv("cars.csv", sep=";", index=False)
     code, _, err = sugiyama("info", "cars.csv")
