@@ -92,7 +92,8 @@ def _on_road(columns: Rows, path: Path, about: About, choices: Choices, network:
     columns["heading_m"] = np.radians(np.asarray(columns["heading_m"]))
     columns, about = drivers_of(_named(columns, path), about)
     columns = moved(columns, _meta(path, "xUtmOrigin", 0.0), _meta(path, "yUtmOrigin", 0.0), network)
-    return put_together(*on_road(columns, network, about), choices)
+    cure = "" if _beside(path).is_file() else f"put {_beside(path).name} beside the file, which says its origin"
+    return put_together(*on_road(columns, network, about, cure=cure), choices)
 
 
 def _of_highd(columns: Rows) -> Rows:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from sugiyama_ros.formats.columns import Rows, text_of
+from sugiyama_ros.formats.off_road import off_road
 from sugiyama_ros.roads.network import Network
 from sugiyama_ros.roads.routes import routes_of
 from sugiyama_ros.roads.scene import OnNetwork, scene
@@ -14,11 +15,14 @@ from sugiyama_ros.trajectories.labels import Labels, joined, labels
 from sugiyama_ros.trajectories.tracks import NOBODY
 
 
-def on_road(columns: Rows, network: Network, about: About, reference: Reference = "centre") -> tuple[Rows, About]:
+def on_road(
+    columns: Rows, network: Network, about: About, reference: Reference = "centre", cure: str = ""
+) -> tuple[Rows, About]:
     """Put vehicles on the lanes of a road: columns of tracks with what drivers see, and where they come from.
 
     columns: (R,), among them ``x_m``, ``y_m`` [m] and perhaps ``heading_m`` [rad], ``x_speed`` and ``y_speed`` [m/s];
-    the road of a row is its route, and its lane is the lane; reference: what the places are of.
+    the road of a row is its route, and its lane is the lane; reference: what the places are of; cure: what helps if the
+    places are of another frame than the road.
     """
     # beside all lanes, a vehicle would be left out without a word
     check_possible({name: columns[name] for name in ("x_m", "y_m") if name in columns}, about.source)  # type: ignore[misc]
@@ -30,6 +34,8 @@ def on_road(columns: Rows, network: Network, about: About, reference: Reference 
     if "x_speed" in columns and "y_speed" in columns:
         columns["speed"] = np.hypot(np.asarray(columns.pop("x_speed")), np.asarray(columns.pop("y_speed")))
     found = routes_of(network, each.code.astype(np.int64), np.asarray(columns["time_s"]), x, y, heading)
+    if (found.route < 0).all():
+        raise off_road(np.stack((x, y), axis=1), network, about.source, cure)
     names = [lane.name for lane in network.lanes]
     ways = [" ".join(names[k] for k in path.lanes) for path in found.paths]
     columns |= {"road": labels(found.route.astype(np.int32), ways), "lane": labels(found.lane.astype(np.int32), names)}

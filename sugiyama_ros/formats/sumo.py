@@ -37,6 +37,8 @@ _TEXTS = {"vehicle": "id", "lane_name": "lane", "edge": "edge", "class": "type",
 _NUMBERS = {"s_m": "pos", "speed": "speed"}
 # Where vehicles are in the plane: their front bumpers.
 _IN_PLANE = {"x_m": "x", "y_m": "y", "angle_m": "angle"}
+# How places in the plane are those of the network.
+_CURE = "write the file without --fcd-output.geo and --fcd-output.utm, and give the network of this simulation"
 # Present only if the user asked SUMO for leaders.
 _GAP = "leaderGap"
 
@@ -71,7 +73,7 @@ def _read_sumo(path: Path, choices: Choices) -> Tracks:
         columns["road"] = labels(root[edges.code].astype(np.int32), edges.text)
     gap = columns.pop("gap_m", None)
     if "length_m" not in columns:
-        columns["length_m"], note = _lengths(columns, gap)
+        columns["length_m"], note = _lengths(columns, gap, root[edges.code])
         about = about.noting(note)
     note = f"{many} edges make {roads} road{'s' * (roads > 1)}" * (many > 1)
     about = replace(about.noting(note), ring_m=ring_m if roads == 1 else 0.0)
@@ -94,11 +96,18 @@ def _on_road(path: Path, choices: Choices, network: Network) -> Tracks:
     columns, about = _read(path, _IN_PLANE), about_file(path)
     # angles count in degrees from north, clockwise
     columns["heading_m"] = np.radians(90.0 - np.asarray(columns.pop("angle_m")))
+    lane, edge, gap = (columns.pop(name, None) for name in ("lane_name", "edge", "gap_m"))
     if "length_m" not in columns:
-        columns["length_m"], note = _lengths(columns, None)
+        road: Ints = np.zeros(len(columns["s_m"]), dtype=np.int64)
+        along = columns
+        if isinstance(lane, Labels) or isinstance(edge, Labels):
+            edges, _ = _edges(lane, edge, path)
+            s_m, root, _ = _along_edges(columns, edges)
+            along, road = columns | {"s_m": s_m}, np.asarray(root[edges.code])
+        columns["length_m"], note = _lengths(along, gap, road)
         about = about.noting(note)
-    columns = {name: columns[name] for name in columns if name not in ("lane_name", "edge", "leader", "gap_m")}
-    return put_together(*on_road(columns, network, about, "front"), choices, reference="front")
+    columns.pop("leader", None)
+    return put_together(*on_road(columns, network, about, "front", _CURE), choices, reference="front")
 
 
 def _edges(lane: Labels | Array | None, edge: Labels | Array | None, path: Path) -> tuple[Labels, Labels]:
@@ -124,10 +133,10 @@ def _of_lanes(lane: Labels, path: Path) -> tuple[Labels, Labels]:
     return labels(lane.code, [edge for edge, _, _ in parts]), labels(lane.code, [number for _, _, number in parts])
 
 
-def _lengths(columns: Mapping[str, Array | Labels], gap: Array | Labels | None) -> tuple[Array, str]:
+def _lengths(columns: Mapping[str, Array | Labels], gap: Array | Labels | None, road: Ints) -> tuple[Array, str]:
     """Lengths [m] of the vehicles of the rows, (R,), and a note on where they come from.
 
-    A vehicle that others follow is as long as the way between two front bumpers is longer than the gap.
+    A vehicle that others follow on a road is as long as the way between two front bumpers is longer than the gap.
     """
     vehicle, s, time = text_of(columns, "vehicle"), np.asarray(columns["s_m"]), np.asarray(columns["time_s"])
     length = np.full(len(vehicle.text), np.nan)
@@ -141,13 +150,24 @@ def _lengths(columns: Mapping[str, Array | Labels], gap: Array | Labels | None) 
         order = np.argsort(key)
         row = order[np.minimum(np.searchsorted(key, wanted, sorter=order), len(key) - 1)]
         way = s[row] - s[followed] - np.asarray(gap)[followed]
-        told = (ahead >= 0) & (key[row] == wanted) & (way > 0.0)
+        told = (ahead >= 0) & (key[row] == wanted) & (road[row] == road[followed]) & (way > 0.0)
         for one in np.unique(ahead[told]).tolist():
             length[one] = round(float(np.median(way[told & (ahead == one)])), 2)
     known = np.isfinite(length)
+    if "class" in columns:
+        # a type of vehicles has one length
+        kind = text_of(columns, "class").code
+        of_vehicle = np.full(len(length), -1)
+        of_vehicle[vehicle.code] = kind
+        for one in np.unique(of_vehicle[known & (of_vehicle >= 0)]).tolist():
+            same = of_vehicle == one
+            length[same & ~known] = round(float(np.median(length[same & known])), 2)
+    told_of, known = known, np.isfinite(length)
     rest = f"every {'other ' * bool(known.any())}vehicle counts as {_LENGTH_M:g} m long"
     if known.any():
-        note = f"lengths of {known.sum()} vehicles follow from the gaps of those behind; {rest}"
+        typed = f", of {sum(known) - sum(told_of)} from others of their type" * bool((known & ~told_of).any())
+        note = f"lengths of {told_of.sum()} vehicles follow from the gaps of those behind{typed}"
+        note += f"; {rest}" * (not known.all())
     else:
         note = f"lengths are not in the file: {rest}"
     return np.where(known, length, _LENGTH_M)[vehicle.code], note

@@ -1,7 +1,9 @@
 """Vehicles in the plane: INTERACTION, inD and floating car data of SUMO, put on the lanes of a road."""
 
+import re
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +15,13 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.registry import format_of
 from sugiyama_ros.formats.road_csv import write_road
 from sugiyama_ros.roads.examples import roundabout
-from sugiyama_ros.roads.network import Network
+from sugiyama_ros.roads.network import Lanelet, Network
 from sugiyama_ros.roads.network import Path as Route
 
 #: Routes of three vehicles, and the step at which each begins; the second follows the first.
 WAYS = ((["in1", "ring1_2", "out2"], 0), (["in1", "ring1_2", "out2"], 40), (["in3", "ring3_4", "out4"], 0))
 SPEED = 8.0
+HEAD = "case_id,track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width"
 
 
 @pytest.fixture
@@ -39,7 +42,7 @@ def drives(network: Network, step_s: float) -> list[tuple[int, int, float, float
 
 def interaction(folder: Path, network: Network) -> Path:
     path = folder / "vehicle_tracks_000.csv"
-    lines = ["case_id,track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width"]
+    lines = [HEAD]
     for v, k, x, y, heading in drives(network, 0.1):
         speed = f"{SPEED * np.cos(heading):.4f},{SPEED * np.sin(heading):.4f}"
         lines.append(f"1,{v},{k},{100 * k},car,{x:.3f},{y:.3f},{speed},{heading:.4f},4.5,1.8")
@@ -110,6 +113,55 @@ def test_a_file_in_the_plane_needs_a_road_and_others_take_none(tmp_path: Path, n
         sg.read(table, road=network)
     with pytest.raises(InputError, match=r"road: a data frame has positions along a road of its own"):
         sg.read(sg.read(table).to_frame(), road=network)
+
+
+def shifted(path: Path, east_m: float, north_m: float, scale: float = 1.0) -> Path:
+    """Floating car data in another frame."""
+
+    def moved(said: "re.Match[str]") -> str:
+        x, y = float(said[1]) * scale + east_m, float(said[2]) * scale + north_m
+        return f'x="{x:.7f}" y="{y:.7f}"'
+
+    path.write_text(re.sub(r'x="([^"]*)" y="([^"]*)"', moved, path.read_text()))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("frame", "error"),
+    [
+        ((11.0, 48.0, 1e-5), r"places such as 1\d\.\d+, 4\d\.\d+ are degrees; write the file without --fcd-output.geo"),
+        (
+            (3e5, 5e6),
+            r"they are 5,009 km beside it; the road likely counts from an origin of its own",
+        ),
+        ((0.0, 2000.0), r"they are 1,801 m beside it; the road is of another place; write the file"),
+    ],
+)
+def test_vehicles_beside_the_road_are_told_how_far(
+    tmp_path: Path, network: Network, frame: tuple[float, ...], error: str
+) -> None:
+    with pytest.raises(InputError, match=rf"^fcd\.xml: no vehicle is on the road: {error}"):
+        sg.read(shifted(sumo(tmp_path, network), *frame), road=network)
+
+
+def test_vehicles_from_an_origin_of_their_own_need_the_metadata(tmp_path: Path, network: Network) -> None:
+    far = Network(tuple(replace(one, x_m=one.x_m + 4e5, y_m=one.y_m + 5e6) for one in network.lanes))
+    path = ind(tmp_path, network)
+    (tmp_path / "07_recordingMeta.csv").rename(tmp_path / "away.csv")
+    with pytest.raises(InputError, match=r"5,016 km beside it; the vehicles .*; put 07_recordingMeta\.csv beside"):
+        sg.read(path, road=far)
+    # the cure works
+    text = "recordingId,frameRate,xUtmOrigin,yUtmOrigin\n7,25,399900,5000050\n"
+    (tmp_path / "07_recordingMeta.csv").write_text(text)
+    assert sg.read(path, road=far).lane.used() == sg.read(sumo(tmp_path, network), road=network).lane.used()
+
+
+def test_vehicles_that_drive_against_all_lanes_are_told_so(tmp_path: Path) -> None:
+    path, place = tmp_path / "vehicle_tracks_000.csv", np.array([0.0, 200.0])
+    rows = [f"1,0,{k},{100 * k},car,{150.0 - k},0,-10,0,{np.pi},4.5,1.8" for k in range(100)]
+    path.write_text("\n".join([HEAD, *rows]) + "\n")
+    with pytest.raises(InputError, match=r"they are among its lanes, but not on a lane that points their way; check"):
+        sg.read(path, road=Network((Lanelet("east", place, np.zeros(2)),)))
 
 
 def test_the_command_takes_a_road(tmp_path: Path, network: Network, monkeypatch: pytest.MonkeyPatch) -> None:
