@@ -1,10 +1,12 @@
 """Reading of text files and XML, with every line, number and time checked."""
 
+import gzip
 import hashlib
 import math
 import os
 import re
 import shlex
+import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from datetime import datetime, timezone
 from io import BufferedReader, RawIOBase
@@ -19,9 +21,11 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 
 _MAX_LINE = 10_000
+#: First bytes of a file that is packed by gzip.
+GZIP = b"\x1f\x8b"
 # Files that hold another file, or text in another encoding: their first bytes, and the cure.
 _PACKED = (
-    (b"\x1f\x8b", "compressed by gzip", "unpack it with gunzip"),
+    (GZIP, "compressed by gzip", "unpack it with gunzip"),
     (b"PK\x03\x04", "a zip archive or a spreadsheet", "unpack it with unzip, or save it as CSV"),
     (b"BZh", "compressed by bzip2", "unpack it with bunzip2"),
     (b"\xfd7zXZ", "compressed by xz", "unpack it with unxz"),
@@ -241,6 +245,8 @@ def _with_comma(text: str) -> float:
 
 
 _BLOCK = 1 << 16
+# Bytes of one element below the first one, at most: what is read is bounded, however much is packed into a file.
+_LARGEST_ELEMENT = 50_000_000
 _MARK = b"\xef\xbb\xbf"
 Parser: TypeAlias = "ElementTree.XMLPullParser[ElementTree.Element]"
 
@@ -262,9 +268,9 @@ def root_of(path: Path) -> ElementTree.Element:
 def has_root(head: bytes, path: Path, tag: str) -> bool:
     """Whether a file, of which ``head`` are the first bytes, is XML whose first element has a tag.
 
-    A damaged file counts as one, if the tag is in its first bytes.
+    It may be packed by gzip. A damaged file counts as one, if the tag is in its first bytes.
     """
-    if not head.removeprefix(_MARK).lstrip().startswith(b"<"):
+    if not head.removeprefix(_MARK).lstrip().startswith((b"<", GZIP)):
         return False
     try:
         return root_of(path).tag == tag
@@ -294,16 +300,35 @@ def elements(path: Path, *tags: str) -> Iterator[ElementTree.Element]:
 
 
 def _events(path: Path, stream: BinaryIO, parser: "Parser") -> Iterator[tuple[str, ElementTree.Element]]:
-    while block := stream.read(_BLOCK):
+    depth, size = 0, 0
+    for block in _blocks(path, stream):
+        size += len(block)
+        if size > _LARGEST_ELEMENT:
+            raise InputError(f"{path}: an element of more than {_LARGEST_ELEMENT // 1_000_000} MB; split the file")
         if b"<!ENTITY" in block or b"<!DOCTYPE" in block:
             raise InputError(f"{path}: declares a document type; remove it")
         try:
             parser.feed(block)
         except (LookupError, ValueError) as error:
             raise InputError(f"{path}: its encoding cannot be read: {error}; save it as UTF-8") from None
-        yield from parser.read_events()  # type: ignore[misc]
+        for event in parser.read_events():
+            depth += 1 if event[0] == "start" else -1
+            size = 0 if depth == 1 else size
+            yield event  # type: ignore[misc]
     parser.close()
     yield from parser.read_events()  # type: ignore[misc]
+
+
+def _blocks(path: Path, stream: BinaryIO) -> Iterator[bytes]:
+    """The content of a file, unpacked if it is packed by gzip. Raises InputError."""
+    packed = stream.read(len(GZIP)) == GZIP
+    stream.seek(0)
+    source = gzip.GzipFile(fileobj=stream) if packed else stream
+    try:
+        while block := source.read(_BLOCK):
+            yield block
+    except (EOFError, gzip.BadGzipFile, zlib.error) as error:
+        raise InputError(f"{path}: damaged: {error}; get the file again") from None
 
 
 def _local(tag: str) -> str:

@@ -4,6 +4,7 @@ A format of another package is a `Format` behind an entry point of the group ``s
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -89,7 +90,10 @@ def read_all(source: str | Path | Sequence[str | Path], choices: Choices, name: 
             f"{paths[0]}: a file of the format {form.name}, whose positions are of centres; leave out the reference"
             f" ({choices.reference})"
         )
-    return form.read(paths[0], choices)
+    tracks = form.read(paths[0], choices)
+    if choices.network is None:
+        return tracks
+    return replace(tracks, about=tracks.about.noting(*choices.network.notes))
 
 
 def format_of(path: Path) -> Format:

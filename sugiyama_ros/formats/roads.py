@@ -6,7 +6,7 @@ from sugiyama_ros.arguments import checked
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.commonroad_road import read_commonroad_road
 from sugiyama_ros.formats.lanelet2 import read_lanelet2
-from sugiyama_ros.formats.reading import has_root
+from sugiyama_ros.formats.reading import GZIP, has_root, root_of
 from sugiyama_ros.formats.road_csv import read_road_csv
 from sugiyama_ros.formats.sheet import head_of
 from sugiyama_ros.formats.sumo_net import read_sumo_net
@@ -20,18 +20,18 @@ def read_road(path: str | Path) -> Network:
     Parameters
     ----------
     path : str or Path
-        A map of Lanelet2 (``.osm``), a CommonRoad scenario (``.xml``), a network of SUMO (``.net.xml``), or CSV with a
-        row for each point of the middle of a lane.
+        A map of Lanelet2 (``.osm``), a CommonRoad scenario (``.xml``) or a network of SUMO (``.net.xml``), each also
+        packed by gzip, or CSV with a row for each point of the middle of a lane.
 
     Returns
     -------
     Network
-        The road.
+        The road; its notes say what was left out, as lanes that are not for cars or that cannot be read.
 
     Raises
     ------
     InputError
-        With the line or the part of the file, for what cannot be read.
+        With the line or the part of the file, if no road can be read.
 
     Examples
     --------
@@ -50,6 +50,10 @@ def read_road(path: str | Path) -> Network:
         return read_commonroad_road(path)
     if has_root(head, path, "net"):
         return read_sumo_net(path)
-    if head.lstrip().startswith(b"<"):
+    if not head:
+        raise InputError(f"{path}: empty file; give a road of Lanelet2, CommonRoad or SUMO, or CSV")
+    if head.lstrip().startswith((b"<", GZIP)):
+        # says what is damaged
+        root_of(path)
         raise InputError(f"{path}: not a road of Lanelet2, CommonRoad or SUMO; give one of these, or CSV")
     return read_road_csv(path)

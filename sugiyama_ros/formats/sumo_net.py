@@ -12,8 +12,10 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.reading import elements, number
+from sugiyama_ros.formats.map_parts import LeftOut, linked
+from sugiyama_ros.formats.reading import elements, number, root_of
 from sugiyama_ros.roads.conflicts import conflicts_of_geometry
 from sugiyama_ros.roads.network import Lanelet, Network, Signal, periodic
 
@@ -37,8 +39,15 @@ class _Link(NamedTuple):
 
 @dataclass
 class _Net:
-    """What a file says: lanes and the links from them, and of junctions and traffic lights by name."""
+    """What a file says: lanes and the links from them, and of junctions and traffic lights by name.
 
+    left_out: what is not read; keeps_left: whether vehicles keep to the left; points: lanes without any length, as
+    inside a junction of two edges in a line.
+    """
+
+    left_out: LeftOut
+    keeps_left: bool
+    points: set[str] = field(default_factory=set)
     lanes: dict[str, Lanelet] = field(default_factory=dict)
     links: dict[str, list[_Link]] = field(default_factory=dict)
     junctions: dict[str, Element] = field(default_factory=dict)
@@ -47,7 +56,8 @@ class _Net:
 
 def read_sumo_net(path: Path) -> Network:
     """Read a network of SUMO. Raises InputError."""
-    net, points = _Net(), 0
+    keeps_left = root_of(path).get("lefthand", "").lower() in ("1", "true")
+    net, points = _Net(LeftOut(path), keeps_left), 0
     for element in elements(path, "edge", "junction", "connection", "tlLogic"):
         name = element.get("id", "")
         if element.tag == "connection":
@@ -60,15 +70,10 @@ def read_sumo_net(path: Path) -> Network:
             program = net.programs[name] = Element("tlLogic", element.attrib)
             program.extend([Element("phase", one.attrib) for one in element.iterfind("phase")])
         elif element.get("function") not in _NOT_FOR_CARS:
-            lanes = [lane for lane in element.iterfind("lane") if _is_for_cars(lane)]
-            names = [lane.get("id", "") for lane in lanes]
-            for lane, right, left in zip(lanes, ["", *names], [*names[1:], ""], strict=False):
-                net.lanes[lane.get("id", "")] = _lane(lane, left, right, path)
-                points += len(net.lanes[lane.get("id", "")].x_m)
+            points += _add_lanes(net, element, path)
         if points > _MAX_POINTS:
             raise InputError(f"{path}: more than {_MAX_POINTS} points of lanes; cut the network")
-    if not net.lanes:
-        raise InputError(f"{path}: no lanes for cars; give a network of SUMO")
+    net.left_out.check_any(net.lanes, "give a network of SUMO")
     try:
         return _network(net, path)
     except InputError as error:
@@ -90,28 +95,45 @@ def _is_for_cars(lane: Element) -> bool:
     return bool({"passenger", "all"} & set(allowed)) and not {"passenger", "all"} & set(forbidden)
 
 
-def _lane(lane: Element, left: str, right: str, path: Path) -> Lanelet:
-    name = lane.get("id", "")
-    where = f"{path}: lane {name[:40]}"
+def _add_lanes(net: _Net, edge: Element, path: Path) -> int:
+    """Add the lanes of an edge that are for cars; returns the number of their points."""
+    lanes = [*edge.iterfind("lane")]
+    for lane in [one for one in lanes if not _is_for_cars(one)]:
+        net.left_out.not_for_cars(" ".join(lane.get("allow", "closed").split()[:3]))
+        lanes.remove(lane)
+    # the first lane of an edge is the one at the side of the road
+    names, points = [lane.get("id", "") for lane in lanes], 0
+    for lane, name, outer, inner in zip(lanes, names, ["", *names], [*names[1:], ""], strict=False):
+        with net.left_out.unreadable("lanes"):
+            where = f"{path}: lane {name[:40]}"
+            shape = _shape(lane, where)
+            points += len(shape)
+            if len(shape) == 1:
+                net.points.add(name)
+                continue
+            limit = net.left_out.speed_limit(lane.get("speed", ""), "m/s", where) or np.inf
+            width = number(lane.get("width", "3.2"), "width", where)
+            left, right = (outer, inner) if net.keeps_left else (inner, outer)
+            net.lanes[name] = Lanelet(name, shape[:, 0], shape[:, 1], (), left, right, limit, width)
+    return points
+
+
+def _shape(lane: Element, where: str) -> Array:
+    """The points (P, 2) [m] of a lane, without those that are the one before them."""
     corners = [one.split(",") for one in lane.get("shape", "").split()]
-    if min(map(len, corners), default=2) < 2:
-        raise InputError(f"{where}: shape: a point has no y; correct it")
-    points = np.array([[number(text, "shape", where) for text in one[:2]] for one in corners]).reshape(-1, 2)
-    kept = np.concatenate(([True], np.hypot(*np.diff(points, axis=0).T) > 0.0))[: len(points)]
-    limit = number(lane.get("speed", ""), "speed", where)
-    width = number(lane.get("width", "3.2"), "width", where)
-    try:
-        return Lanelet(name, points[kept, 0], points[kept, 1], (), left, right, limit, width)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+    if min(map(len, corners), default=0) < 2:
+        raise InputError(f"{where}: shape: no points, or a point without y; correct it")
+    points = np.array([[number(text, "shape", where) for text in one[:2]] for one in corners])
+    kept: Array = points[np.concatenate(([True], np.hypot(*np.diff(points, axis=0).T) > 0.0))]
+    return kept
 
 
 def _network(net: _Net, path: Path) -> Network:
-    after = {
-        name: dict.fromkeys(to for one in links if (to := one.via or one.after) in net.lanes)
-        for name, links in net.links.items()
-    }
-    lanes = [replace(one, successors=tuple(after.get(name, ()))) for name, one in net.lanes.items()]
+    after = {name: tuple(one.via or one.after for one in links) for name, links in net.links.items()}
+    lanes = linked(
+        {name: replace(one, successors=after.get(name, ())) for name, one in net.lanes.items()},
+        {name: after.get(name, ()) for name in net.points},
+    )
     phases = {name: [one.get("state", "") for one in program] for name, program in net.programs.items()}
     first: dict[str, set[str]] = {}
     stop_m: dict[str, float] = {}
@@ -127,7 +149,7 @@ def _network(net: _Net, path: Path) -> Network:
     conflicts = tuple(
         replace(one, yields=one.other in first.get(one.lane, ())) for one in conflicts_of_geometry(lanes, stop_m=stop_m)
     )
-    return Network(tuple(lanes), conflicts, tuple(_signals(net, path)))
+    return Network(lanes, conflicts, tuple(_signals(net, path)), net.left_out.notes())
 
 
 def _ways(
@@ -138,7 +160,7 @@ def _ways(
     for link in (one for name in junction.get("incLanes", "").split() for one in net.links.get(name, ())):
         inside = _inside(net, link)
         if inside:
-            ways[inside[-1]] = link, inside
+            ways[inside[-1]] = link, [name for name in inside if name in net.lanes]
     # requests are numbered as the last lanes inside the junction are listed
     numbered = junction.get("intLanes", "").split()
     for request in junction.iterfind("request"):
@@ -157,7 +179,7 @@ def _ways(
 def _inside(net: _Net, link: _Link) -> list[str]:
     """The lanes of a link inside its junction."""
     lanes, name = [], link.via
-    while name in net.lanes and name not in lanes:
+    while (name in net.lanes or name in net.points) and name not in lanes:
         lanes.append(name)
         name = next((one.via for one in net.links.get(name, ())), "")
     return lanes

@@ -364,6 +364,8 @@ class Network(Result):
         The places where vehicles may meet.
     signals : tuple of Signal
         The signals.
+    notes : tuple of str
+        What a reader of the road left out.
 
     Raises
     ------
@@ -386,6 +388,7 @@ class Network(Result):
     lanes: tuple[Lanelet, ...]
     conflicts: tuple[Conflict, ...] = ()
     signals: tuple[Signal, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.lanes:

@@ -169,6 +169,3 @@ def test_a_network_of_sumo_is_read(tmp_path: Path) -> None:
     assert conflict(sg.read_road(path), ":c_1_0", ":c_0_0").yields
     path.write_text(maps.sumo_net("Gr rG", kind="actuated"))
     assert [len(one.red) for one in sg.read_road(path).signals] == [0, 0]
-    path.write_text(maps.sumo_net().replace('speed="13.9"', 'speed="fast"', 1))
-    with pytest.raises(InputError, match="lane east_0: speed 'fast' is not a finite number"):
-        sg.read_road(path)
