@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
+from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -26,7 +27,8 @@ from sugiyama_ros.formats.reading import elements, has_root, number, root_of
 from sugiyama_ros.formats.sheet import MAX_ROWS
 from sugiyama_ros.roads.network import Lanelet, Network
 from sugiyama_ros.roads.routes import CHANGE, Place, SeenRows, Ways, places_near
-from sugiyama_ros.trajectories.assemble import AGREES
+from sugiyama_ros.roads.view import Sides, is_beside, sides, widths
+from sugiyama_ros.trajectories.assemble import AGREES, lengths_of
 from sugiyama_ros.trajectories.kinds import is_driver
 from sugiyama_ros.trajectories.labels import Labels, labels, labels_of
 from sugiyama_ros.trajectories.tracks import Tracks
@@ -37,8 +39,11 @@ _ON_LANE_M = 2.5
 _SAME_ORIGIN_M = 1.0
 
 
-def _placed(network: Network, seen: SeenRows, names: Sequence[str]) -> dict[str, Array | Labels]:
-    """Put vehicles on lanelets: columns of the road, the lane, the leader, and the positions along and across [m]."""
+def _placed(network: Network, seen: SeenRows, size_m: Array, names: Sequence[str]) -> dict[str, Array | Labels]:
+    """Put vehicles on lanelets: columns of the road, the lane, the leader, and the positions along and across [m].
+
+    size_m: (R, 2), lengths and widths [m] of the vehicles.
+    """
     graph = _Graph(network)
     near = places_near(network, seen, _ON_LANE_M)
     order = np.lexsort((seen.time_s, seen.vehicle))
@@ -54,9 +59,10 @@ def _placed(network: Network, seen: SeenRows, names: Sequence[str]) -> dict[str,
     s = along + np.append(graph.offset, np.nan)[lanelet]
     road = _roads(graph, seen, order, lanelet, s)
     lane = labels(np.append(graph.lane, -1)[lanelet].astype(np.int32), graph.names)
-    ahead = _ahead(graph, seen, lanelet, along, s)
-    leader = labels(np.where(ahead < 0, -1, seen.vehicle[ahead]).astype(np.int32), names)
     across = np.array([np.nan if one is None else one.across for one in on])
+    beside = sides(seen.vehicle, lanelet, seen.time_s, across, size_m[:, 1])
+    ahead = _ahead(graph, seen, _OnLanelet(lanelet, along, s, size_m[:, 0], beside))
+    leader = labels(np.where(ahead < 0, -1, seen.vehicle[ahead]).astype(np.int32), names)
     return {"road": road, "lane": lane, "leader": leader, "s_m": s, "d_m": across}
 
 
@@ -129,8 +135,19 @@ def _roads(graph: _Graph, seen: SeenRows, order: Ints, lanelet: Ints, s: Array) 
     return labels_of(names)
 
 
-def _ahead(graph: _Graph, seen: SeenRows, lanelet: Ints, along: Array, s: Array) -> Ints:
+class _OnLanelet(NamedTuple):
+    """Rows of vehicles, (R,) each: lanelet (-1 for none), places [m] on it and on the road, length [m], and side."""
+
+    lanelet: Ints
+    along: Array
+    s: Array
+    length: Array
+    sides: Sides
+
+
+def _ahead(graph: _Graph, seen: SeenRows, rows: _OnLanelet) -> Ints:
     """Row of the vehicle ahead of each row, (R,); -1 where nobody knows it."""
+    lanelet, along, s, length, beside = rows
     ahead = np.full(len(lanelet), -1, dtype=np.int64)
     on: dict[tuple[float, int], list[tuple[float, int]]] = {}
     for row in np.flatnonzero(lanelet >= 0).tolist():
@@ -140,7 +157,13 @@ def _ahead(graph: _Graph, seen: SeenRows, lanelet: Ints, along: Array, s: Array)
     for row, way in _ways(graph, seen, lanelet):
         time, start = round(float(seen.time_s[row]), 3), 0.0
         for k, one in enumerate(way):
-            next_ones = [(a, r) for a, r in on.get((time, one), ()) if (k or a > along[row]) and r != row]
+            next_ones = [
+                (a, r)
+                for a, r in on.get((time, one), ())
+                if (k or a > along[row])
+                and r != row
+                and not is_beside(row, r, start + a - along[row] < 0.5 * (length[row] + length[r]), beside)
+            ]
             if next_ones:
                 distance = start + next_ones[0][0] - float(along[row])
                 if abs(s[next_ones[0][1]] - s[row] - distance) <= _SAME_ORIGIN_M:
@@ -206,9 +229,11 @@ def _read_commonroad(path: Path, choices: Choices) -> Tracks:
     code, place = vehicle.code.astype(np.int64), np.stack((x, y), axis=1)
     seen = SeenRows(code, time, place, _headings(code, time, place, heading))
     # what becomes too large is on no lanelet; a place on no lane has no position along a lane
+    kind, size = labels_of(kinds), lengths_of(code, length)
+    size_m = np.stack((size, widths(width, kind, size)), axis=1)
     with np.errstate(over="ignore", invalid="ignore"):
-        columns = _placed(Network(linked(lanelets)), seen, vehicle.text)
-    columns |= {"vehicle": vehicle, "class": labels_of(kinds), "time_s": time, "speed": speed}
+        columns = _placed(Network(linked(lanelets)), seen, size_m, vehicle.text)
+    columns |= {"vehicle": vehicle, "class": kind, "time_s": time, "speed": speed}
     columns |= {"length_m": length, "width_m": width}
     # what stands beside all lanes is in nobody's way
     kept = np.isfinite(np.asarray(columns["s_m"])) | (np.arange(len(vehicle)) < drive)

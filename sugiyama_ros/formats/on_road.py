@@ -8,11 +8,12 @@ from sugiyama_ros.formats.columns import Rows, text_of
 from sugiyama_ros.formats.off_road import off_road
 from sugiyama_ros.roads.network import Network
 from sugiyama_ros.roads.routes import routes_of
-from sugiyama_ros.roads.scene import OnNetwork, scene
-from sugiyama_ros.trajectories.about import DEFAULT_LENGTH_M, About, Reference
-from sugiyama_ros.trajectories.assemble import TO_CENTRE, check_possible
+from sugiyama_ros.roads.scene import scene
+from sugiyama_ros.roads.view import OnNetwork, sides, widths
+from sugiyama_ros.trajectories.about import About, Reference
+from sugiyama_ros.trajectories.assemble import TO_CENTRE, check_possible, lengths_of
 from sugiyama_ros.trajectories.labels import Labels, joined, labels
-from sugiyama_ros.trajectories.tracks import NOBODY
+from sugiyama_ros.trajectories.tracks import FREE, NOBODY
 
 
 def on_road(
@@ -33,26 +34,30 @@ def on_road(
     x, y, heading = (np.asarray(columns.pop(name, unknown)) for name in ("x_m", "y_m", "heading_m"))
     if "x_speed" in columns and "y_speed" in columns:
         columns["speed"] = np.hypot(np.asarray(columns.pop("x_speed")), np.asarray(columns.pop("y_speed")))
-    found = routes_of(network, each.code.astype(np.int64), np.asarray(columns["time_s"]), x, y, heading)
+    vehicles, time = each.code.astype(np.int64), np.asarray(columns["time_s"])
+    length = lengths_of(vehicles, np.asarray(columns.setdefault("length_m", unknown)))
+    width, kind = columns.get("width_m"), columns.get("class")
+    width = widths(*(None if width is None else np.asarray(width), kind if isinstance(kind, Labels) else None, length))
+    found = routes_of(network, vehicles, time, x, y, heading, width)
     if (found.route < 0).all():
         raise off_road(np.stack((x, y), axis=1), network, about.source, cure)
     names = [lane.name for lane in network.lanes]
     ways = [" ".join(names[k] for k in path.lanes) for path in found.paths]
     columns |= {"road": labels(found.route.astype(np.int32), ways), "lane": labels(found.lane.astype(np.int32), names)}
-    length = np.asarray(columns.setdefault("length_m", np.full(len(vehicle), DEFAULT_LENGTH_M)))
     ahead, seen = scene(
         network,
-        found.paths,
+        found.onward(network),
         OnNetwork(
-            vehicle=each.code.astype(np.int64),
+            vehicle=vehicles,
             route=found.route,
-            time_s=np.asarray(columns["time_s"]),
+            time_s=time,
             place=found.s_m + TO_CENTRE[reference] * length,
             length=length,
             recording=recording.code.astype(np.int64) if isinstance(recording, Labels) else np.zeros(len(length), int),
+            sides=sides(vehicles, found.route, time, found.d_m, width),
         ),
     )
-    leader = np.where(ahead >= 0, vehicle.code[ahead], np.where(found.route >= 0, len(vehicle.text), -1))
+    leader = np.where(ahead >= 0, vehicle.code[ahead], np.where(ahead == FREE, len(vehicle.text), -1))
     columns["leader"] = labels(leader.astype(np.int32), [*vehicle.text, NOBODY])
     about = replace(about, leaders="given").noting(*found.notes)
     return columns | {"s_m": found.s_m, "d_m": found.d_m, **seen}, about

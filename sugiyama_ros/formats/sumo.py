@@ -67,6 +67,7 @@ def _read_sumo(path: Path, choices: Choices) -> Tracks:
         about = about.noting(
             "warning: edges have no lanes in the file, as in SUMO's mesoscopic model, so that no leader is known"
         )
+    edges = _on_own_edges(columns, edges)
     columns["s_m"], root, ring_m = _along_edges(columns, edges)
     roads, many = len(np.unique(root)), len(edges.text)
     if roads > 1:
@@ -224,8 +225,48 @@ FORMAT = Format(
 
 # A vehicle that stays away for longer [s] says nothing about how long an edge is.
 _LONGEST_STEP_S = 2.0
+# Way [m] back on an edge from which on a vehicle drives against its direction.
+_FALLS_M = 1.0
 # Share of the vehicles that leave an edge for the edge that counts as its next.
 _MOST = 0.5
+
+
+def _on_own_edges(columns: Rows, edges: Labels) -> Labels:
+    """Edges of the rows, (R,): a vehicle that overtakes on the opposite edge is on its own edge, but on no lane of it.
+
+    On the opposite edge its position falls: it is the way to the end of its own edge. Both positions add up to the
+    length of the edge where the vehicle changes over.
+    """
+    vehicle, edge, lane = text_of(columns, "vehicle").code, edges.code.copy(), text_of(columns, "lane")
+    time_s, position, speed = (np.asarray(columns[name]).copy() for name in ("time_s", "s_m", "speed"))
+    order = np.lexsort((time_s, vehicle))
+    new = (np.diff(vehicle[order]) != 0) | (np.diff(edge[order]) != 0)
+    visits = np.split(order, np.flatnonzero(new) + 1)
+    fell = np.array(
+        [
+            position[own[-1]] < position[own[0]] - _FALLS_M and np.sign(np.diff(position[own])).sum() < 0
+            for own in visits
+        ]
+    )
+    code, length = lane.code.copy(), dict[int, list[float]]()
+    against: list[tuple[Ints, int, int]] = []
+    for k in np.flatnonzero(fell).tolist():
+        own, other = visits[k], int(edges.code[visits[k][0]])
+        before, after = (visits[j] if 0 <= j < len(visits) and not fell[j] else own for j in (k - 1, k + 1))
+        beside = next((one for one in (before, after) if one is not own and vehicle[one[0]] == vehicle[own[0]]), None)
+        if beside is None:
+            code[own] = -1
+            continue
+        # the rows on both sides of the change, the earlier one first
+        pair = (beside[-1], own[0]) if beside is before else (own[-1], beside[0])
+        way = 0.5 * float(speed[list(pair)].sum()) * float(time_s[pair[1]] - time_s[pair[0]])
+        both = float(position[list(pair)].sum()) + (way if beside is before else -way)
+        length.setdefault(other, []).append(both)
+        against.append((own, other, int(edges.code[beside[0]])))
+    for own, other, mine in against:
+        position[own], edge[own], code[own] = float(np.median(length[other])) - position[own], mine, -1
+    columns["s_m"], columns["lane"] = position, labels(code, lane.text)
+    return labels(edge, edges.text)
 
 
 def _along_edges(columns: Rows, edges: Labels) -> tuple[Array, Ints, float]:

@@ -5,26 +5,31 @@ vehicle's whole way decides: the sum of the squared distances from the lanes is 
 not follow has a cost, too.
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from heapq import heappop, heappush
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.roads.network import Network, Path
+from sugiyama_ros.roads.network import Lanelet, Network, Path
 
 #: Angle [rad] between a vehicle on a lane and the lane, at most.
 _WITHIN = 0.25 * np.pi
-# Distance [m] from the middle of a lane beyond which a vehicle has left it: the width of a lane.
+# Distance [m] from the middle of a lane beyond which a vehicle has left it, however wide both are.
 _ON_LANE_M = 3.5
 #: What a change to a lane costs: the square of a distance [m] of half a lane.
 CHANGE = 1.75**2
 # What a step to a lane costs that neither follows nor lies beside: nobody does it just to be nearer to a middle line.
 _ELSEWHERE = 10.0**2
-# Lanes that a vehicle may pass between two samples.
-_PASSED = 3
+# Way [m] along lanes, at most, that a vehicle makes between two samples; and how it compares with the straight way
+# between the two places: the road may bend, and places near the ends of lanes are not exact.
+_FARTHEST_M, _BENDS, _SLACK_M = 200.0, 1.5, 7.0
+# Length [m] below which a lane that leads back is a place to turn round.
+_TURN_M = 40.0
 # Places that are put on a path at a time.
 _MOST = 2_000
 # Way [m] of a vehicle over which its heading is measured: far more than the errors of positions.
@@ -46,12 +51,14 @@ class SeenRows(NamedTuple):
 
 
 class Place(NamedTuple):
-    """A place on a lane: number of the lane, way from its start, to the left, and distance [m]."""
+    """A place on a lane: number of the lane, way from its start, to the left, and distance [m]; x, y: in the plane."""
 
     lane: int
     along: float
     across: float
     distance: float
+    x: float
+    y: float
 
 
 def places_near(network: Network, seen: SeenRows, within_m: float) -> dict[int, list[Place]]:
@@ -76,44 +83,70 @@ def places_near(network: Network, seen: SeenRows, within_m: float) -> dict[int, 
             across[closer] = (way[0] * to[closer, 1] - way[1] * to[closer, 0]) / length
             start += length
         for k in np.flatnonzero(best < within_m).tolist():
-            near.setdefault(int(rows[k]), []).append(Place(lane, float(along[k]), float(across[k]), float(best[k])))
+            row = int(rows[k])
+            place = Place(lane, float(along[k]), float(across[k]), float(best[k]), *seen.place_m[row].tolist())
+            near.setdefault(row, []).append(place)
     return near
 
 
 class Ways:
     """Ways through a network: which lanes a vehicle may come to between two samples, and which way costs least.
 
-    network: the network; elsewhere: what a step to a lane costs that neither follows nor lies beside; passed: for each
-    lane the lane itself and those that a vehicle may come to.
+    network: the network; elsewhere: what a step to a lane costs that neither follows nor lies beside.
     """
 
     def __init__(self, network: Network, elsewhere: float = _ELSEWHERE) -> None:
         self.after, self._elsewhere = network.after, elsewhere
-        self.passed = [self._reached(k) for k in range(len(self.after))]
-        beside = [[network.number(name) for name in (one.left, one.right) if name] for one in network.lanes]
-        self._beside = [frozenset[int]().union(*(self.passed[k] for k in ones)) for ones in beside]
+        self._length = [one.length_m for one in network.lanes]
+        self._beside = [[network.number(name) for name in (one.left, one.right) if name] for one in network.lanes]
+        # who comes to the end of a road may also leave it there, and not turn round
+        self._turns = {k for k, one in enumerate(network.lanes) if _turns_round(one)}
+        self._onto: dict[int, dict[int, tuple[float, int]]] = {}
 
-    def _reached(self, first: int) -> frozenset[int]:
-        reached, edge = {first}, {first}
-        for _ in range(_PASSED):
-            edge = {after for one in edge for after in self.after[one]} - reached
-            reached |= edge
-        return frozenset(reached)
+    def _reached(self, first: int) -> dict[int, tuple[float, int]]:
+        """The lanes behind a lane: the way [m] from its end to where each begins, and the lane before."""
+        if first in self._onto:
+            return self._onto[first]
+        reached: dict[int, tuple[float, int]] = {}
+        waiting = [(0.0, after, first) for after in self.after[first]]
+        while waiting:
+            way_m, lane, before = heappop(waiting)
+            if lane in reached or lane == first:
+                continue
+            reached[lane] = way_m, before
+            if (beyond_m := way_m + self._length[lane]) < _FARTHEST_M:
+                for after in self.after[lane]:
+                    heappush(waiting, (beyond_m, after, lane))
+        self._onto[first] = reached
+        return reached
+
+    def _comes(self, first: int, before: Place, place: Place, reach_m: float) -> bool:
+        """Whether a vehicle that was at ``before``, as if on lane ``first``, comes to a place by following lanes."""
+        if first == place.lane:
+            return True
+        way_m, _ = self._reached(first).get(place.lane, (math.inf, -1))
+        return max(self._length[first] - before.along, 0.0) + way_m + place.along <= reach_m
+
+    def follows(self, before: Place, place: Place) -> bool:
+        """Whether a vehicle comes from a place to the next one by following lanes."""
+        return self._comes(before.lane, before, place, _reach_m(before, place))
+
+    def _cost(self, before: Place, place: Place, reach_m: float) -> float:
+        """What a step from a place to the next one costs."""
+        if before.lane == place.lane or self._comes(before.lane, before, place, reach_m):
+            return 0.0
+        beside = any(self._comes(lane, before, place, reach_m) for lane in self._beside[before.lane])
+        return CHANGE if beside else self._elsewhere
 
     def least(self, near: Sequence[Sequence[Place]]) -> list[Place]:
         """The places of a vehicle at T times, out of those near at each, at least one: the way with the least cost."""
         costs = [place.distance**2 for place in near[0]]
         came: list[list[int]] = [[0] * len(costs)]
         for before, places in pairwise(near):
-            last = [
-                (cost, self.passed[one.lane], self._beside[one.lane]) for cost, one in zip(costs, before, strict=True)
-            ]
+            reach_m = _reach_m(before[0], places[0])
             table = [
-                [
-                    cost if lane in passed else cost + (CHANGE if lane in beside else self._elsewhere)
-                    for cost, passed, beside in last
-                ]
-                for lane in (place.lane for place in places)
+                [cost + self._cost(one, place, reach_m) for cost, one in zip(costs, before, strict=True)]
+                for place in places
             ]
             least = [min(row) for row in table]
             came.append([row.index(cost) for row, cost in zip(table, least, strict=True)])
@@ -126,30 +159,40 @@ class Ways:
         return found[::-1]
 
     def between(self, first: int, last: int) -> list[int]:
-        """Lanes after the first one up to the last one, which is among those that a vehicle may come to."""
-        ways = [[first]]
-        while ways:
-            way = ways.pop(0)
-            if last in self.after[way[-1]]:
-                return [*way[1:], last]
-            if len(way) < _PASSED:
-                ways += [[*way, one] for one in self.after[way[-1]]]
+        """Lanes after the first one up to the last one; none if they are too far apart, or do not follow."""
+        reached, way = self._reached(first), [last]
+        while way[-1] in reached:
+            before = reached[way[-1]][1]
+            if before == first:
+                return way[::-1]
+            way.append(before)
         return []
 
     def onward(self, route: Sequence[int]) -> list[int]:
         """The lanes that a vehicle comes to, from the first of its route on, as far as somebody knows."""
         way = [route[0]]
         for one in route[1:]:
-            new = self.between(way[-1], one) if one in self.passed[way[-1]] else []
+            new = self.between(way[-1], one) if one != way[-1] else []
             if not new:
                 break
             way += new
         else:
-            while len(after := self.after[way[-1]]) == 1 and after[0] not in way:
+            while len(after := self.after[way[-1]]) == 1 and after[0] not in way and after[0] not in self._turns:
                 way += after
         if len(way) > 1 and way[-1] in way[:-1]:
             way.pop()
         return way
+
+
+def _turns_round(lane: Lanelet) -> bool:
+    """Whether a lane leads back at once: by more than three quarters of a half turn."""
+    begin, end = lane.line.heading(np.array([0.0, lane.length_m]))
+    return lane.length_m < _TURN_M and bool(np.cos(end - begin) < np.cos(0.75 * np.pi))
+
+
+def _reach_m(before: Place, place: Place) -> float:
+    """How far [m] a vehicle may have come along lanes between two places."""
+    return _BENDS * math.hypot(place.x - before.x, place.y - before.y) + _SLACK_M
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,9 +211,20 @@ class Routes:
     d_m: Array
     notes: tuple[str, ...]
 
+    def onward(self, network: Network) -> list[Path]:
+        """The same paths, each followed on while there is no fork: who is there is ahead, seen to go there or not."""
+        ways = Ways(network)
+        return [Path(network, ways.onward(path.lanes)) for path in self.paths]
+
 
 def routes_of(
-    network: Network, vehicle: Ints, time_s: Array, x_m: Array, y_m: Array, heading: Array | None = None
+    network: Network,
+    vehicle: Ints,
+    time_s: Array,
+    x_m: Array,
+    y_m: Array,
+    heading: Array | None = None,
+    width_m: Array | None = None,
 ) -> Routes:
     """Find the routes of vehicles through a network.
 
@@ -186,12 +240,14 @@ def routes_of(
         Places [m] in the plane.
     heading : numpy.ndarray, shape (R,), optional
         Headings [rad]; where they are missing or NaN, they are found out of how the vehicle moves.
+    width_m : numpy.ndarray, shape (R,), optional
+        Widths [m] of the vehicles; without them, it does not matter how wide lanes are.
 
     Returns
     -------
     Routes
-        The route of each row, and its place on it. A vehicle has another route from where it leaves its lane for one
-        that does not follow, and from where it comes to a lane for the second time.
+        The route of each row, and its place on it; none for a vehicle wholly beside its lane. Another route begins
+        where a vehicle leaves its lane for one that does not follow, or comes to a lane for the second time.
 
     Examples
     --------
@@ -207,26 +263,37 @@ def routes_of(
     """
     known = np.full(len(x_m), np.nan) if heading is None else np.asarray(heading, dtype=np.float64)
     seen = _with_headings(SeenRows(np.asarray(vehicle), time_s, np.stack((x_m, y_m), axis=1), known))
+    return _routes(network, seen, np.full(len(x_m), np.inf) if width_m is None else 0.5 * width_m)
+
+
+def _routes(network: Network, seen: SeenRows, reach_m: Array) -> Routes:
+    """Routes of rows; reach_m: (R,), how far [m] vehicles reach to their sides."""
     near, ways = places_near(network, seen, _ON_LANE_M), Ways(network)
+    lane_m = np.array([0.5 * one.width_m for one in network.lanes])
     paths: dict[tuple[int, ...], Path] = {}
-    route, lane = np.full(len(x_m), -1, dtype=np.int64), np.full(len(x_m), -1, dtype=np.int64)
-    s_m, d_m = np.full(len(x_m), np.nan), np.full(len(x_m), np.nan)
+    route, lane = np.full(len(reach_m), -1, dtype=np.int64), np.full(len(reach_m), -1, dtype=np.int64)
+    s_m, d_m = np.full(len(reach_m), np.nan), np.full(len(reach_m), np.nan)
     cuts = 0
     for rows in seen.of_vehicles():
         for k, (lanes, here, on) in enumerate(_parts(ways, rows, near)):
             if lanes not in paths:
                 paths[lanes] = Path(network, lanes)
             s, d, own = _along(paths[lanes], seen.place_m[here], on)
-            kept = np.abs(d) < _ON_LANE_M
+            kept = np.abs(d) < np.minimum(_ON_LANE_M, lane_m[own] + reach_m[here])
             here = here[kept]
             s_m[here], d_m[here], lane[here], route[here] = s[kept], d[kept], own[kept], list(paths).index(lanes)
             cuts += k > 0
-    off = int((route < 0).sum())
+    return Routes(tuple(paths.values()), route, lane, s_m, d_m, _notes(int((route < 0).sum()), cuts))
+
+
+def _notes(off: int, cuts: int) -> tuple[str, ...]:
+    """What to say of rows without a route, and of routes that were cut."""
     notes = (
-        f"{off} rows are not within {_ON_LANE_M:g} m of a lane that points their way; they have no route" * (off > 0),
+        f"{off} rows are on no lane that points their way (within {_ON_LANE_M:g} m, and not wholly beside it);"
+        " they have no route" * (off > 0),
         f"{cuts} routes begin where a vehicle leaves its lane for one that does not follow, or comes back" * (cuts > 0),
     )
-    return Routes(tuple(paths.values()), route, lane, s_m, d_m, tuple(note for note in notes if note))
+    return tuple(note for note in notes if note)
 
 
 def _with_headings(seen: SeenRows) -> SeenRows:
@@ -267,15 +334,15 @@ def _parts(
 def _pieces(ways: Ways, places: Sequence[Place]) -> Iterator[tuple[tuple[int, ...], slice]]:
     """The routes of a vehicle, one after the other, and the places of each.
 
-    A vehicle that comes back to one of the last lanes of its route has not left it: it stands between the two.
+    A vehicle that comes back by a little to a lane of its route has not left it: it stands between the two.
     """
     route: list[int] = []
     first = 0
     for k, place in enumerate(places):
-        if place.lane in route[-1 - _PASSED :]:
+        if place.lane in route and (place.lane == route[-1] or ways.follows(place, places[k - 1])):
             del route[route.index(place.lane) + 1 :]
             continue
-        onward = ways.between(route[-1], place.lane) if route and place.lane in ways.passed[route[-1]] else []
+        onward = ways.between(route[-1], place.lane) if route and ways.follows(places[k - 1], place) else []
         if not onward or set(onward) & set(route):
             if route:
                 yield tuple(route), slice(first, k)

@@ -18,10 +18,11 @@ from sugiyama_ros.driver.line import SOFT_S, TIME_GAP_S, USUAL, attention, time_
 from sugiyama_ros.driver.parameters import REFERENCE_HORIZON, REFERENCE_PERIOD_S
 from sugiyama_ros.jit import kernel
 from sugiyama_ros.roads.network import Network, Path
+from sugiyama_ros.roads.view import FREE_M, InSight, OnNetwork, Sides, hidden, is_beside
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.assemble import assemble
 from sugiyama_ros.trajectories.labels import Labels, labels
-from sugiyama_ros.trajectories.tracks import LINE, NOBODY, Tracks
+from sugiyama_ros.trajectories.tracks import FREE, LINE, NOBODY, UNKNOWN, Tracks
 
 #: Way [m] within which a driver looks for lines.
 VIEW_M = 100.0
@@ -62,7 +63,8 @@ class RouteLines(NamedTuple):
 class Moment(NamedTuple):
     """N vehicles at one time: route (N,), place of the centre (N,) [m] on it, speed (N,) [m/s], length (N,) [m].
 
-    red: (S,), whether each signal of the network is red; since: (S,), time [s] since it has turned green.
+    red: (S,), whether each signal of the network is red; since: (S,), time [s] since it has turned green; sides: (N,),
+    where vehicles are across their lanes.
     """
 
     route: Ints
@@ -71,6 +73,7 @@ class Moment(NamedTuple):
     length: Array
     red: Mask
     since: Array
+    sides: Sides
 
 
 def lines_of_routes(network: Network, paths: Sequence[Path]) -> RouteLines:
@@ -137,8 +140,11 @@ def _lane_at(place: float, route: int, ways: RouteLines) -> int:
 
 @kernel
 def _ahead(i: int, now: Moment, ways: RouteLines) -> tuple[int, float]:
-    """Return the next vehicle on the way of vehicle i, -1 for none, and the shift [m] of its places to the own way."""
-    leader, nearest, shift = -1, np.inf, 0.0
+    """Return the next vehicle on the way of vehicle i, and the shift [m] of its places to the own way.
+
+    Who drives beside vehicle i is not on its way. Returns `FREE` for nobody, `UNKNOWN` if there are only such vehicles.
+    """
+    leader, nearest, shift, alone = FREE, np.inf, 0.0, FREE
     own = ways.start[now.route[i]]
     for j in range(len(now.route)):
         if j == i:
@@ -146,7 +152,8 @@ def _ahead(i: int, now: Moment, ways: RouteLines) -> tuple[int, float]:
         route = now.route[j]
         k = _lane_at(now.place[j], route, ways)
         lane = ways.order[route, k]
-        if math.isnan(own[lane]):
+        turned = math.isnan(own[lane])
+        if turned:
             # who has turned off is still in the way with the rear
             if k == 0 or now.place[j] - 0.5 * now.length[j] > ways.start[route, lane]:
                 continue
@@ -156,8 +163,11 @@ def _ahead(i: int, now: Moment, ways: RouteLines) -> tuple[int, float]:
         off = own[lane] - ways.start[route, lane]
         away = now.place[j] + off - now.place[i]
         if (away > 0.0 or (away == 0.0 and j < i)) and away < nearest:
-            leader, nearest, shift = j, away, off
-    return leader, shift
+            if not turned and is_beside(i, j, away < 0.5 * (now.length[i] + now.length[j]), now.sides):
+                alone = UNKNOWN if away < FREE_M else alone
+            else:
+                leader, nearest, shift = j, away, off
+    return leader if leader >= 0 else alone, shift
 
 
 @kernel
@@ -226,8 +236,8 @@ def _line(i: int, now: Moment, ways: RouteLines) -> tuple[float, float, float]:
 def see_scene(now: Moment, ways: RouteLines, leader: Ints, shift: Array, line: Array) -> None:
     """Fill in what each of N vehicles sees.
 
-    leader: (N,), the next vehicle on the way, -1 for none; shift: (N,), what to add to the leader's place [m]; line:
-    (N, 4), as of ``Order``.
+    leader: (N,), the next vehicle on the way, `FREE` for none, `UNKNOWN` if only others are ahead who drive beside;
+    shift: (N,), what to add to the leader's place [m]; line: (N, 4), as of ``Order``.
     """
     for i in range(len(now.route)):
         leader[i], shift[i] = _ahead(i, now, ways)
@@ -239,41 +249,39 @@ def see_scene(now: Moment, ways: RouteLines, leader: Ints, shift: Array, line: A
             line[i, 3] = max(line[i, 3], ways.curvature[now.route[i], k])
 
 
-class OnNetwork(NamedTuple):
-    """What is known of vehicles on a network, row by row.
-
-    vehicle: (R,), number of the vehicle; route: (R,), number of its route, -1 for none; time_s: (R,), times [s], the
-    same for all vehicles in view; place: (R,), places [m] of the centres on the route; length: (R,), lengths [m];
-    recording: (R,), number of the recording; vehicles of other recordings are not there.
-    """
-
-    vehicle: Ints
-    route: Ints
-    time_s: Array
-    place: Array
-    length: Array
-    recording: Ints
-
-
 def scene(network: Network, paths: Sequence[Path], rows: OnNetwork) -> tuple[Ints, dict[str, Array]]:
     """Work out what the drivers of recorded vehicles see.
 
-    Returns the row of each leader (R,), -1 for none, and columns (R,) for tracks: ``leader_shift_m``, ``line_m``,
-    ``arrive_s``, ``clear_s`` and ``curvature_per_m``.
+    Returns the row of each leader (R,), `FREE` where the road is seen to be empty, `UNKNOWN` where it is not known who
+    is ahead, and columns (R,) for tracks: ``leader_shift_m``, ``line_m``, ``arrive_s``, ``clear_s`` and
+    ``curvature_per_m``.
     """
+    count = len(rows.route)
     there = np.flatnonzero(rows.route >= 0)
-    leader, shift, line = np.full(len(rows.route), -1), np.zeros(len(rows.route)), np.full((len(rows.route), 4), np.nan)
+    leader, shift, line = np.full(count, UNKNOWN), np.zeros(count), np.full((count, 4), np.nan)
     if len(there):
-        ways, speed = lines_of_routes(network, paths), _speeds(rows, there)
-        order = there[np.lexsort((rows.time_s[there], rows.recording[there]))]
-        new = (np.diff(rows.time_s[order]) > 0.5e-3) | (np.diff(rows.recording[order]) != 0)
+        ways, unseen = lines_of_routes(network, paths), hidden(rows)
+        row, time, place = there, rows.time_s[there], rows.place[there]
+        if unseen is not None:
+            row = np.concatenate((row, unseen.row))
+            time, place = np.concatenate((time, unseen.time_s)), np.concatenate((place, unseen.place))
+        speed, lost = _speeds(rows, there)[row], np.arange(len(row)) >= len(there)
+        across, usual, half = (side[row] for side in rows.sides)
+        half = np.where(lost, np.inf, half)
+        order = np.lexsort((time, rows.recording[row]))
+        new = (np.diff(time[order]) > 0.5e-3) | (np.diff(rows.recording[row[order]]) != 0)
         for some in np.split(order, np.flatnonzero(new) + 1):
-            red, since = signals_at(network, float(rows.time_s[some[0]]))
-            now = Moment(rows.route[some], rows.place[some], speed[some], rows.length[some], red, since)
+            red, since = signals_at(network, float(time[some[0]]))
+            own, beside = row[some], Sides(across[some], usual[some], half[some])
+            now = Moment(rows.route[own], place[some], speed[some], rows.length[own], red, since, beside)
             ahead, shifts, lines = np.full(len(some), -1), np.zeros(len(some)), np.full((len(some), 4), np.nan)
             see_scene(now, ways, ahead, shifts, lines)
-            leader[some] = np.where(ahead >= 0, some[ahead], -1)
-            shift[some], line[some] = shifts, lines
+            led = np.where(ahead >= 0, np.where(lost[some[ahead]], UNKNOWN, own[ahead]), ahead)
+            kept = ~lost[some]
+            leader[own[kept]], shift[own[kept]], line[own[kept]] = led[kept], shifts[kept], lines[kept]
+        nobody = np.flatnonzero(leader == FREE)
+        is_free = InSight(paths, rows).far(nobody, FREE_M) if unseen is not None else np.zeros(len(nobody), dtype=bool)
+        leader[nobody[~is_free]] = UNKNOWN
     return leader, {"leader_shift_m": shift, **{name: line[:, k] for k, name in enumerate(LINE)}}
 
 

@@ -20,7 +20,8 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.results import Result
 from sugiyama_ros.road import Road
 from sugiyama_ros.roads.network import Network, Path
-from sugiyama_ros.roads.scene import InView, Moment, OnNetwork, lines_of_routes, see_scene, signals_at, tracks_on
+from sugiyama_ros.roads.scene import InView, Moment, lines_of_routes, see_scene, signals_at, tracks_on
+from sugiyama_ros.roads.view import OnNetwork, middle_of
 from sugiyama_ros.simulation.drive import Order, Setting, Traffic, Wandering, begin, drive, measure, move, remember
 from sugiyama_ros.simulation.result import Collision
 from sugiyama_ros.simulation.simulator import Clock
@@ -227,7 +228,9 @@ class JunctionSimulator:
 
     def _moment(self, here: Ints) -> Moment:
         red, since = signals_at(self.network, self.time_s)
-        return Moment(self._route[here], self.place[here], self.speed[here], self.length_m[here], red, since)
+        return Moment(
+            self._route[here], self.place[here], self.speed[here], self.length_m[here], red, since, middle_of(len(here))
+        )
 
     def _see(self, here: Ints) -> tuple[Ints, Array, Array]:
         """Leader, shift of their place and line of each vehicle on the network."""
@@ -364,7 +367,15 @@ def simulate_junction(simulator: JunctionSimulator, duration_s: float) -> Juncti
         network=simulator.network,
         paths=simulator.paths,
         travellers=simulator.travellers,
-        rows=OnNetwork(vehicle, simulator._route[vehicle], time_s, measured, length_m, np.zeros_like(vehicle)),
+        rows=OnNetwork(
+            vehicle,
+            simulator._route[vehicle],
+            time_s,
+            measured,
+            length_m,
+            np.zeros_like(vehicle),
+            middle_of(len(vehicle)),
+        ),
         seen=InView(*(np.concatenate(part) for part in zip(*views, strict=True))),
         place_m=place,
         speed=speed,

@@ -325,6 +325,18 @@ def _with_times(table: _Table) -> _Table:
     return table._replace(number=number, about=table.about.noting(note))
 
 
+def lengths_of(vehicle: Ints, given: Array) -> Array:
+    """Lengths [m] of rows (R,) of vehicles with numbers: the median of the lengths given for each, or the usual one."""
+    can_be = (given > 0.0) & (given < LONGEST_M)
+    length = np.where(can_be, given, np.nan)
+    low, high = np.full(int(vehicle.max(initial=-1)) + 1, np.inf), np.full(int(vehicle.max(initial=-1)) + 1, -np.inf)
+    np.minimum.at(low, vehicle[can_be], length[can_be])
+    np.maximum.at(high, vehicle[can_be], length[can_be])
+    for one in np.flatnonzero(high > low).tolist():
+        low[one] = np.nanmedian(length[vehicle == one])
+    return np.where(np.isfinite(low), low, DEFAULT_LENGTH_M)[vehicle]
+
+
 def _lengths(table: _Table, start: Ints) -> _Table:
     """One length [m] for each run, repeated for its rows."""
     rows = np.diff(start)
@@ -333,18 +345,15 @@ def _lengths(table: _Table, start: Ints) -> _Table:
         usual = np.full(int(start[-1]), DEFAULT_LENGTH_M)
         return table._replace(number={**table.number, "length_m": usual}, about=table.about.noting(note))
     given = table.number["length_m"]
+    length = lengths_of(np.repeat(np.arange(len(rows)), rows), given)
     given = np.where((given > 0.0) & (given < LONGEST_M), given, np.nan)
     low, high = np.fmin.reduceat(given, start[:-1]), np.fmax.reduceat(given, start[:-1])
-    length: Array = low.copy()
-    for run in np.flatnonzero(high > low).tolist():
-        length[run] = np.nanmedian(given[start[run] : start[run + 1]])
-    varies, unknown = int(np.sum(high - low > _LENGTH_VARIES_M)), int(np.sum(np.isnan(length)))
+    varies, unknown = int(np.sum(high - low > _LENGTH_VARIES_M)), int(np.sum(np.isnan(low)))
     about = table.about.noting(
         f"lengths that vary by more than {_LENGTH_VARIES_M:g} m: {varies} vehicles; the median counts" * (varies > 0),
         f"lengths that are missing: {unknown} vehicles, which count as {DEFAULT_LENGTH_M:g} m long" * (unknown > 0),
     )
-    filled = np.repeat(np.where(np.isnan(length), DEFAULT_LENGTH_M, length), rows)
-    return table._replace(number={**table.number, "length_m": filled}, about=about)
+    return table._replace(number={**table.number, "length_m": length}, about=about)
 
 
 def _speeds(table: _Table, run: Ints, selection: Selection) -> _Table:
