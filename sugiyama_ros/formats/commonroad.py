@@ -229,11 +229,11 @@ def _read_commonroad(path: Path, choices: Choices) -> Tracks:
     code, place = vehicle.code.astype(np.int64), np.stack((x, y), axis=1)
     seen = SeenRows(code, time, place, _headings(code, time, place, heading))
     # what becomes too large is on no lanelet; a place on no lane has no position along a lane
-    kind, size = labels_of(kinds), lengths_of(code, length)
-    size_m = np.stack((size, widths(width, kind, size)), axis=1)
+    of_class, size = labels_of(kinds), lengths_of(code, length)
+    size_m = np.stack((size, widths(width, of_class, size)), axis=1)
     with np.errstate(over="ignore", invalid="ignore"):
         columns = _placed(Network(linked(lanelets)), seen, size_m, vehicle.text)
-    columns |= {"vehicle": vehicle, "class": kind, "time_s": time, "speed": speed}
+    columns |= {"vehicle": vehicle, "class": of_class, "time_s": time, "speed": speed}
     columns |= {"length_m": length, "width_m": width}
     # what stands beside all lanes is in nobody's way
     kept = np.isfinite(np.asarray(columns["s_m"])) | (np.arange(len(vehicle)) < drive)
