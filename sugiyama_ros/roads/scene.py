@@ -32,6 +32,8 @@ _STANDING = 0.3
 _AFTER_GREEN_S = 10.0
 # Way [m] that drivers stop before the place behind a line, or before a signal; who rolls on stops there.
 _BEFORE_M = 1.0
+# Way [m] from a place where ways meet or part, within which a vehicle may matter to who drives there.
+_NEAR_M = 30.0
 # Time [s] on each side over which speeds are measured.
 _SPEED_OVER_S = 0.5
 # Way [m] between two places at which curvatures are kept, and time [s] for which drivers look ahead (paper, section 3).
@@ -64,7 +66,7 @@ class Moment(NamedTuple):
     """N vehicles at one time: route (N,), place of the centre (N,) [m] on it, speed (N,) [m/s], length (N,) [m].
 
     red: (S,), whether each signal of the network is red; since: (S,), time [s] since it has turned green; sides: (N,),
-    where vehicles are across their lanes.
+    where vehicles are across their lanes; is_recorded: whether who is ahead was seen, and not simulated.
     """
 
     route: Ints
@@ -74,6 +76,7 @@ class Moment(NamedTuple):
     red: Mask
     since: Array
     sides: Sides
+    is_recorded: bool
 
 
 def lines_of_routes(network: Network, paths: Sequence[Path]) -> RouteLines:
@@ -139,35 +142,73 @@ def _lane_at(place: float, route: int, ways: RouteLines) -> int:
 
 
 @kernel
+def _lane_on(j: int, own: Array, now: Moment, ways: RouteLines) -> int:
+    """Return the lane on which vehicle j is in the way of a route that has its lanes at ``own`` [m]; -1 for none.
+
+    That is the lane of the centre; or the one behind, where the rear still is, or the next one, where the front is.
+    """
+    route = now.route[j]
+    k = _lane_at(now.place[j], route, ways)
+    lane = ways.order[route, k]
+    if not math.isnan(own[lane]):
+        return lane
+    if k > 0 and now.place[j] - 0.5 * now.length[j] <= ways.start[route, lane]:
+        behind = ways.order[route, k - 1]
+        if not math.isnan(own[behind]):
+            return behind
+    if now.is_recorded and k + 1 < ways.order.shape[1] and ways.order[route, k + 1] >= 0:
+        ahead = ways.order[route, k + 1]
+        if not math.isnan(own[ahead]) and now.place[j] + 0.5 * now.length[j] > ways.start[route, ahead]:
+            return ahead
+    return -1
+
+
+@kernel
 def _ahead(i: int, now: Moment, ways: RouteLines) -> tuple[int, float]:
     """Return the next vehicle on the way of vehicle i, and the shift [m] of its places to the own way.
 
-    Who drives beside vehicle i is not on its way. Returns `FREE` for nobody, `UNKNOWN` if there are only such vehicles.
+    Who drives beside vehicle i is not on its way. Returns `FREE` for nobody; `UNKNOWN` if only such vehicles are ahead,
+    or some that cross the way.
     """
     leader, nearest, shift, alone = FREE, np.inf, 0.0, FREE
     own = ways.start[now.route[i]]
     for j in range(len(now.route)):
         if j == i:
             continue
-        route = now.route[j]
-        k = _lane_at(now.place[j], route, ways)
-        lane = ways.order[route, k]
-        turned = math.isnan(own[lane])
-        if turned:
-            # who has turned off is still in the way with the rear
-            if k == 0 or now.place[j] - 0.5 * now.length[j] > ways.start[route, lane]:
-                continue
-            lane = ways.order[route, k - 1]
-            if math.isnan(own[lane]):
-                continue
-        off = own[lane] - ways.start[route, lane]
+        lane = _lane_on(j, own, now, ways)
+        if lane < 0:
+            continue
+        off = own[lane] - ways.start[now.route[j], lane]
         away = now.place[j] + off - now.place[i]
         if (away > 0.0 or (away == 0.0 and j < i)) and away < nearest:
-            if not turned and is_beside(i, j, away < 0.5 * (now.length[i] + now.length[j]), now.sides):
+            if is_beside(i, j, away < 0.5 * (now.length[i] + now.length[j]), now.sides):
                 alone = UNKNOWN if away < FREE_M else alone
             else:
                 leader, nearest, shift = j, away, off
+    if leader == FREE and now.is_recorded and _is_crossed(i, now, ways):
+        alone = UNKNOWN
     return leader if leader >= 0 else alone, shift
+
+
+@kernel
+def _is_crossed(i: int, now: Moment, ways: RouteLines) -> bool:
+    """Whether somebody is near a place ahead where ways meet the way of vehicle i, or has just turned off it."""
+    route = now.route[i]
+    own = ways.start[route]
+    for j in range(len(now.route)):
+        begin, lanes = ways.start[now.route[j]], ways.order[now.route[j]]
+        k = _lane_at(now.place[j], now.route[j], ways)
+        while k > 0 and begin[lanes[k]] > now.place[j] - _NEAR_M:
+            fork = own[lanes[k - 1]] + begin[lanes[k]] - begin[lanes[k - 1]]
+            if math.isnan(own[lanes[k]]) and fork > now.place[i]:
+                return True
+            k -= 1
+        for c in range(ways.first[route], ways.first[route + 1]):
+            if ways.other[c] >= 0 and 0.0 < ways.enter[c] - now.place[i] < FREE_M:
+                way = now.place[j] - begin[ways.other[c]]
+                if ways.other_enter[c] - _NEAR_M < way < ways.other_leave[c] + _NEAR_M and j != i:
+                    return True
+    return False
 
 
 @kernel
@@ -273,7 +314,7 @@ def scene(network: Network, paths: Sequence[Path], rows: OnNetwork) -> tuple[Int
         for some in np.split(order, np.flatnonzero(new) + 1):
             red, since = signals_at(network, float(time[some[0]]))
             own, beside = row[some], Sides(across[some], usual[some], half[some])
-            now = Moment(rows.route[own], place[some], speed[some], rows.length[own], red, since, beside)
+            now = Moment(rows.route[own], place[some], speed[some], rows.length[own], red, since, beside, True)
             ahead, shifts, lines = np.full(len(some), -1), np.zeros(len(some)), np.full((len(some), 4), np.nan)
             see_scene(now, ways, ahead, shifts, lines)
             led = np.where(ahead >= 0, np.where(lost[some[ahead]], UNKNOWN, own[ahead]), ahead)

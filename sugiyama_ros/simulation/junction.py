@@ -229,7 +229,14 @@ class JunctionSimulator:
     def _moment(self, here: Ints) -> Moment:
         red, since = signals_at(self.network, self.time_s)
         return Moment(
-            self._route[here], self.place[here], self.speed[here], self.length_m[here], red, since, middle_of(len(here))
+            self._route[here],
+            self.place[here],
+            self.speed[here],
+            self.length_m[here],
+            red,
+            since,
+            middle_of(len(here)),
+            False,
         )
 
     def _see(self, here: Ints) -> tuple[Ints, Array, Array]:
