@@ -86,6 +86,15 @@ def see(driver: int, leader: int, traffic: Traffic, order: Order) -> tuple[float
 
 
 @kernel
+def gaps(traffic: Traffic, order: Order) -> Array:
+    """Gaps (N,) [m] of all vehicles to the vehicles ahead, as of ``see``."""
+    found = np.empty(len(order.leader))
+    for i in range(len(order.leader)):
+        found[i], _ = see(i, order.leader[i], traffic, order)
+    return found
+
+
+@kernel
 def begin(position: Array, speed: Array, held: Array, acceleration: Array, rows: Array, period: float) -> Traffic:
     """Return traffic that begins now, with a past in which every vehicle kept its speed.
 
@@ -230,6 +239,15 @@ def act_along(
                 out[t, i] += pushed[i]
 
 
+@kernel
+def noise_factors(speed: Array, rows: Array) -> Array:
+    """Factors (N,) of the acceleration noises of drivers with rows (N, width) at speeds (N,) [m/s]."""
+    found = np.empty(len(speed))
+    for i in range(len(speed)):
+        found[i] = noise_factor(speed[i], rows[i])
+    return found
+
+
 def move(own: _Motion, acceleration: Array, rows: Array, period: float, rng: np.random.Generator) -> _Motion:
     """Move vehicles by one period [s], with random shocks.
 
@@ -237,7 +255,7 @@ def move(own: _Motion, acceleration: Array, rows: Array, period: float, rng: np.
     """
     x, v, noise = own
     shock = rng.standard_normal((3, len(x)))
-    factor = np.array([noise_factor(speed, row) for speed, row in zip(v, rows, strict=True)])
+    factor = noise_factors(v, rows)
     position, speed = advance(x, v, acceleration, period)
     return (
         position + rows[:, SIGMA_X] * shock[0],

@@ -25,7 +25,19 @@ from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
-from sugiyama_ros.simulation.drive import Order, Setting, Traffic, Wandering, begin, drive, measure, move, remember, see
+from sugiyama_ros.simulation.drive import (
+    Order,
+    Setting,
+    Traffic,
+    Wandering,
+    begin,
+    drive,
+    gaps,
+    measure,
+    move,
+    remember,
+    see,
+)
 from sugiyama_ros.simulation.result import Collision, Simulation
 from sugiyama_ros.trajectories.about import SIMULATED
 from sugiyama_ros.trajectories.dense import DenseTracks
@@ -116,7 +128,7 @@ class Simulator:
     @property
     def gap_m(self) -> Array:
         """Gaps [m] to the leaders, shape (N,); infinite without a leader."""
-        return np.array([see(i, j, self._traffic, self._order)[0] for i, j in enumerate(self.leader)])
+        return np.asarray(gaps(self._traffic, self._order))
 
     @property
     def _traffic(self) -> Traffic:
