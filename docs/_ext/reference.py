@@ -4,9 +4,11 @@ Commands come from the Typer app, messages from msg_defs, parameters from their 
 interface from ``sugiyama_ros.__all__``. Notebooks are copied from examples, because Sphinx reads only what is in docs.
 """
 
+import ast
 import inspect
 import re
 from collections.abc import Iterable, Sequence
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -216,6 +218,27 @@ def python() -> str:
     return "\n".join(lines)
 
 
+def numbers() -> str:
+    """Every number by which a diagnosis decides, with the comment above it."""
+    rows = []
+    for path in sorted(ROOT.glob("sugiyama_ros/diagnosis/*.py")):
+        lines = path.read_text().splitlines()
+        for node in ast.parse("\n".join(lines)).body:
+            if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
+                targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+                names = ", ".join(ast.unparse(target) for target in targets).strip("()")
+                comment = list(takewhile(lambda line: line.startswith("#"), reversed(lines[: node.lineno - 1])))
+                if names.isupper() and comment and any(c.isdigit() for c in ast.unparse(node.value)):
+                    text = " ".join(line.lstrip("#: ") for line in reversed(comment))
+                    parts = node.value.elts if isinstance(node.value, ast.Tuple) else [node.value]
+                    value = "; ".join(ast.unparse(part) for part in parts)
+                    rows.append((code(names.lower().replace("_", " ").strip()), code(value), plain(text), path.name))
+    about = "All numbers by which `sugiyama diagnose` decides, as they stand in `sugiyama_ros/diagnosis`."
+    return f"# Numbers of a diagnosis\n\n{about} {{doc}}`/verdict` says what for.\n\n" + table(
+        ("number", "value", "meaning", "file"), rows
+    )
+
+
 def write(name: str, text: str) -> None:
     """Write a page if it has changed, so that Sphinx reads only what is new."""
     path = GENERATED / name
@@ -234,6 +257,7 @@ def pages(app: Sphinx, config: Config) -> None:
     about = "Every controller is one file in `sugiyama_ros/controllers`. {doc}`/controlled` has the equations."
     write("controllers.md", extensions("Controllers", about, sg.controllers.values()))
     write("studies.md", studies())
+    write("numbers.md", numbers())
     write("formats.md", file_formats())
     write("python.rst", python())
     for notebook in (ROOT / "examples").glob("*.md"):

@@ -18,7 +18,7 @@ from sugiyama_ros.diagnosis.table import Entry, paired
 from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.filters.abreast import ABREAST
-from sugiyama_ros.fit.joint import JointFit, fit, fit_nearly
+from sugiyama_ros.fit.joint import NEAR_STEPS, JointFit, fit, fit_nearly
 from sugiyama_ros.fit.law import in_filter, start_of_drivers
 from sugiyama_ros.fit.model import PointwiseDensity, unknown
 from sugiyama_ros.fit.preparation import prepare
@@ -32,8 +32,6 @@ from sugiyama_ros.trajectories.tracks import Tracks
 
 # Standard errors by which another base model must be better: a missing effect makes it a little better, too.
 _CLEAR = 5.0
-# Steps of a fit that begins near the maximum.
-_FEW = 3
 _NOISES = Candidate("noises", "noises", "noise", tuple(map(index, FREED)), ({},))
 
 
@@ -80,7 +78,7 @@ def with_more_decisions(
     for parts in range(data.decisions + 1, most + 1):
         on_progress("more decisions between samples", parts - data.decisions - 1, most - data.decisions)
         finer = prepare(recording, parts, searched)
-        if fit(replace(finer, even=data.even), base.model, work, iterations=_FEW).samples.total <= best:
+        if fit(replace(finer, even=data.even), base.model, work, iterations=NEAR_STEPS).samples.total <= best:
             break
         finer, again = base_model(finer, work, law)
         if again.samples.total <= best:

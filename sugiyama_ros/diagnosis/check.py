@@ -46,7 +46,7 @@ _COLLECTIVE = {
 }
 # The same for a bias in standard deviations of one step, for the correlation from one step to the next, and, as part of
 # what the model gives, for how large errors are: one step ahead, which many samples say, and after some seconds.
-_BIAS, _CORRELATION, _ONE_STEP, _RUNS = 0.05, 0.1, 0.1, 0.25
+_MARGINS = {"bias": 0.05, "correlation": 0.1, "one_step": 0.1, "runs": 0.25}
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def _innovations(
         wider = max(1.0, float(np.mean([s / max(n, 1) for s, n, _ in usual])))
         p = float(chi2.sf(squares / wider, bins))
         value, expected = (math.sqrt(mean / max(samples, 1)) for mean in (squares, wider * bins))
-        yield Check(f"bias_over_{covariate}", value, expected, "1", p, _BIAS)
+        yield Check(f"bias_over_{covariate}", value, expected, "1", p, _MARGINS["bias"])
     of_squares, of_products = [], []
     for one, fitted in ((data, final.fit), *simulated):
         y, variance = fitted.samples.innovation_m, fitted.samples.innovation_var
@@ -130,9 +130,9 @@ def _innovations(
         driver, block = np.broadcast_to(np.arange(one.drivers)[:, None], z.shape), one.block[:, :: one.every]
         of_squares.append(_mean(np.square(z), driver, block))
         of_products.append(_mean(z[:, 1:] * z[:, :-1], driver[:, 1:], block[:, 1:]))
-    yield _spread("spread_of_innovations", of_squares, _ONE_STEP)
+    yield _spread("spread_of_innovations", of_squares, _MARGINS["one_step"])
     (value, *_), expected, p = of_products[0], *as_simulated(of_products)
-    yield Check("correlation_of_innovations", value, expected, "1", p, _CORRELATION)
+    yield Check("correlation_of_innovations", value, expected, "1", p, _MARGINS["correlation"])
 
 
 def _squares(located: Located, covariate: str) -> tuple[float, int, int]:
@@ -184,7 +184,7 @@ def _calibration(data: Recorded, ours: Forecasts, simulated: Sequence[tuple[Reco
                 # the cars of one road are not independent of one another
                 means.append(_mean(squares, *((block,) if name == "road" else (block, driver))))
             if math.isfinite(means[0][0]):
-                yield _spread(f"spread_of_{name}_runs_{horizon_s:g}s", means, _RUNS)
+                yield _spread(f"spread_of_{name}_runs_{horizon_s:g}s", means, _MARGINS["runs"])
 
 
 def _collective(

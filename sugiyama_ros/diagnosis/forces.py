@@ -6,13 +6,11 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import Candidate, force_along
+from sugiyama_ros.diagnosis.where import BINS, FEWEST
 from sugiyama_ros.effects.discovered_force import COVARIATES, KNOTS
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.response import Response
 from sugiyama_ros.fit.surroundings import covariates_of
-
-# Fewest samples at which a covariate must be known.
-_FEWEST = 100
 
 
 def forces(data: Recorded, response: Response) -> Iterator[tuple[Candidate, Array]]:
@@ -24,7 +22,7 @@ def forces(data: Recorded, response: Response) -> Iterator[tuple[Candidate, Arra
     for name in COVARIATES:
         values = seen[name].T
         known = values[np.isfinite(values)]
-        if len(known) < _FEWEST or (name == "time" and not around.is_whole_road):
+        if len(known) < BINS * FEWEST or (name == "time" and not around.is_whole_road):
             continue
         ring = name == "place" and around.road.is_ring
         first, last = (0.0, around.road.circumference_m) if ring else np.quantile(known, (0.02, 0.98)).tolist()

@@ -20,16 +20,13 @@ from sugiyama_ros.diagnosis.candidates import (
 from sugiyama_ros.diagnosis.score import Score, ScoreOfSome, directions, scores
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.coordinates import is_linear
-from sugiyama_ros.fit.joint import JointFit, at_model, maximise, renewed
+from sugiyama_ros.fit.joint import NEAR_STEPS, JointFit, at_model, maximise, renewed
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.slopes import no_density
 
 # Places of what happens once, in one car at one moment.
 _ONCE = range(ROW.width)[ROW.places[PUSH]]
-# First steps of a fit, which show what it may gain, and steps of a fit without a fold, which is near.
-_FIRST_STEPS = 3
-_STEPS_WITHOUT = 3
 
 
 def refined(data: Recorded, fitted: JointFit, candidate: Candidate, found: Sequence[Score], work: Executor) -> JointFit:
@@ -45,7 +42,7 @@ def begun(data: Recorded, fitted: JointFit, candidate: Candidate, found: Sequenc
     tried = tried or [with_candidate(fitted.model, candidate, start) for start in candidate.starts]
     there = [_beside(data, fitted, model, work) for model in tried]
     start = renewed(data.roughly, max(there, key=lambda one: one.objective), work)
-    return maximise(data.roughly, start, work, iterations=_FIRST_STEPS, renewals=0)
+    return maximise(data.roughly, start, work, iterations=NEAR_STEPS, renewals=0)
 
 
 def finished(data: Recorded, fitted: JointFit, candidate: Candidate, first: JointFit, work: Executor) -> JointFit:
@@ -55,7 +52,7 @@ def finished(data: Recorded, fitted: JointFit, candidate: Candidate, first: Join
     """
     found = maximise(data.roughly, first, work, renewals=2, fresh=False)
     found = at_model(data, found, replace(found.model, ahead=found.model.rows), work)
-    found = maximise(data, found, work, iterations=_STEPS_WITHOUT, renewals=0, fresh=False)
+    found = maximise(data, found, work, iterations=NEAR_STEPS, renewals=0, fresh=False)
     if _does_nothing(data, found.model, candidate) or found.objective <= fitted.objective:
         return fitted
     return replace(found, beside=fitted if first.model.held else None)
@@ -116,7 +113,7 @@ def _without_fold(data: Recorded, fitted: JointFit, folds: Sequence[int], work: 
         for s in fitted.slopes
     )
     alone = JointFit(replace(fitted.model, shared=(), few=()), fitted.samples, slopes)
-    found = maximise(data, alone, work, folds=folds, iterations=_STEPS_WITHOUT, renewals=0).model
+    found = maximise(data, alone, work, folds=folds, iterations=NEAR_STEPS, renewals=0).model
     if not fitted.model.shared:
         return found
     return _from_rows(data, fitted, found.rows, folds, work)
@@ -127,7 +124,7 @@ def _from_rows(data: Recorded, fitted: JointFit, rows: Array, folds: Sequence[in
     # of what happens once, the other folds say nothing
     held = (*fitted.model.held, *(k for k in fitted.model.shared if k in _ONCE))
     start = at_model(data, fitted, replace(fitted.model, rows=rows, held=held), work)
-    return maximise(data, start, work, folds=folds, iterations=_STEPS_WITHOUT, renewals=0).model
+    return maximise(data, start, work, folds=folds, iterations=NEAR_STEPS, renewals=0).model
 
 
 def without(data: Recorded, fitted: JointFit, candidate: Candidate, work: Executor) -> JointFit:

@@ -18,8 +18,8 @@ from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.surroundings import covariates_of
 from sugiyama_ros.statistics import failing
 
-# Number of bins of a covariate, and smallest number of samples in a bin.
-_BINS, _FEWEST = 10, 30
+#: Number of bins of a covariate, and smallest number of samples in a bin.
+BINS, FEWEST = 10, 30
 #: A driver stands below this speed [m/s].
 STANDING = 0.5
 # A driver accelerates or brakes beyond this acceleration [m/s^2].
@@ -106,18 +106,18 @@ def _regime(model: Model, states: Array) -> Array:
 
 def _edges(name: str, values: Array) -> Array:
     known = values[np.isfinite(values)]
-    if len(known) < _BINS * _FEWEST:
+    if len(known) < BINS * FEWEST:
         return np.empty(0)
     if name in ("place", "time"):
-        return np.linspace(float(known.min()), np.nextafter(float(known.max()), np.inf), _BINS + 1)
-    edges = np.unique(np.quantile(known, np.linspace(0.0, 1.0, _BINS + 1)))
+        return np.linspace(float(known.min()), np.nextafter(float(known.max()), np.inf), BINS + 1)
+    edges = np.unique(np.quantile(known, np.linspace(0.0, 1.0, BINS + 1)))
     edges[-1] = np.nextafter(edges[-1], np.inf)
     return np.asarray(edges)
 
 
 def _bin(name: str, label: str, low: float, high: float, values: Array, after: Array) -> Bin | None:
     chosen = after[(values >= low) & (values < high) & np.isfinite(after)]
-    if len(chosen) < _FEWEST:
+    if len(chosen) < FEWEST:
         return None
     bias = float(chosen.mean())
     p_value = 2.0 * float(norm.sf(abs(bias) * np.sqrt(len(chosen))))
@@ -147,7 +147,7 @@ def _map(first: str, second: str, before: dict[str, Array], after: Array) -> Map
         pairs = (before[first][known], before[second][known])
         count = np.histogram2d(*pairs, bins=edges)[0]
         total = np.histogram2d(*pairs, bins=edges, weights=after[known])[0]
-        full = count >= _FEWEST
+        full = count >= FEWEST
         bias[full] = total[full] / count[full]
         p_value = 2.0 * norm.sf(np.abs(bias[full]) * np.sqrt(count[full]))
         flagged[full] = p_value <= failing(p_value.tolist())

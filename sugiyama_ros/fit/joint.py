@@ -29,6 +29,8 @@ from sugiyama_ros.fit.smooth_positions import measured_every
 # A search ends when the predicted gain of a step is less than this [nats]. The log-likelihood of 22 drivers is rough:
 # it varies irregularly by about 1 over one step of the difference quotients.
 _ENOUGH = 0.5
+#: Steps of a fit that begins near its maximum: without a fold, of a simulated recording, at another period.
+NEAR_STEPS = 3
 _DAMPING = Damping(least=1e-6, least_after_failure=0.1, most=1e4)
 # Maximum number of steps of a search, and maximum number of times that it computes the derivatives again.
 _STEPS, _RENEWALS = 12, 5

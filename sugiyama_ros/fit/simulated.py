@@ -10,7 +10,7 @@ from scipy.signal import savgol_filter
 
 from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.driver.parameters import at_period
-from sugiyama_ros.fit.joint import JointFit, fit
+from sugiyama_ros.fit.joint import NEAR_STEPS, JointFit, fit
 from sugiyama_ros.fit.model import Model, between_measurements, filtered_states, moved
 from sugiyama_ros.fit.preparation import driven_anew, prepare_road
 from sugiyama_ros.fit.recording import Recorded
@@ -25,8 +25,6 @@ _SMOOTHED_S = 2.0
 # Samples of a driver do not count from so long [s] before a collision: real drivers do not get there, and the penalty
 # is flat within another vehicle.
 _BEFORE_COLLISION_S = 3.0
-# Steps of a fit to a simulated recording, which begins at the truth.
-_STEPS_FROM_TRUTH = 3
 
 
 def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generator) -> Recorded:
@@ -103,7 +101,7 @@ def resampled_fits(
     def one_run(rng: np.random.Generator) -> tuple[Recorded, JointFit]:
         truth = _drawn(data, fitted, rng)
         simulated = resample(data, truth, states, rng).roughly
-        return simulated, fit(simulated, truth, work, iterations=_STEPS_FROM_TRUTH)
+        return simulated, fit(simulated, truth, work, iterations=NEAR_STEPS)
 
     return parallel_map(one_run, rngs, "simulating the current model", on_progress)
 
