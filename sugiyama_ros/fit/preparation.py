@@ -207,6 +207,12 @@ def followers(tracks: Tracks, decisions: int | None = None) -> Followers:
         parts,
     )
     if not found.enough:
+        lasts_s = float(np.max(tracks.time_s[tracks.start[1:] - 1] - tracks.time_s[tracks.start[:-1]], initial=0.0))
+        if lasts_s < SHORTEST_STRETCH_S:
+            raise InputError(
+                f"{tracks.about.source}: nobody is seen for more than {lasts_s:.3g} s, but drivers must be seen to"
+                f" follow for {SHORTEST_STRETCH_S:g} s; give longer recordings"
+            )
         raise InputError(
             f"{tracks.about.source}: nobody follows a known vehicle for {SHORTEST_STRETCH_S:g} s; `sugiyama info` says"
             " which leaders are known"

@@ -40,6 +40,8 @@ _FOOTER_SIZE = HEAD.size + 20
 _BLOCK = 1 << 20
 # How rosbag2 and others call files that zstd has compressed.
 _PACKED = (".zstd", ".zst")
+# The name of a file of a bag in several files.
+_NUMBERED = re.compile(r"(.*)_(\d+)")
 
 
 @dataclass(frozen=True)
@@ -380,20 +382,44 @@ def bag_files(path: Path) -> list[Path]:
             raise InputError(f"{path}: {kind}, not an MCAP file; {cure}, and give {target}_mcap")
         return [path]
     if not (path / METADATA).is_file():
-        raise InputError(f"{path}: has no {METADATA}; give one of its .mcap files, or run `ros2 bag reindex {path}`")
+        return _split_files(path)
     document = read_yaml(path / METADATA)
     try:
         about = document["rosbag2_bagfile_information"]
         storage, names = str(about["storage_identifier"]), [str(name) for name in about["relative_file_paths"]]
     except (KeyError, TypeError):
         raise InputError(f"{path / METADATA}: is not of a bag; give a directory that rosbag2 recorded") from None
-    if storage != "mcap":
-        cure = f"run `rosbags-convert --src {path} --dst {path}_mcap --dst-storage mcap`"
-        raise InputError(f"{path}: its storage is {storage}, not mcap; {cure}, and give {path}_mcap")
-    files = [_unpacked(path / Path(name).name) for name in names]
-    if not files:
+    if not names:
         raise InputError(f"{path}: has no files; record something")
-    return files
+    # a directory that was indexed again may not say its storage, but its files do
+    storage = storage or ("mcap" if all(".mcap" in Path(name).suffixes for name in names) else "sqlite3")
+    if storage != "mcap":
+        unsaid = "" if about["storage_identifier"] else f"write `storage_identifier: {storage}` into {METADATA}, "
+        cure = f"{unsaid}run `rosbags-convert --src {path} --dst {path}_mcap --dst-storage mcap`"
+        raise InputError(f"{path}: its storage is {storage}, not mcap; {cure}, and give {path}_mcap")
+    return [_unpacked(path / Path(name).name) for name in names]
+
+
+def split_files(path: Path) -> list[Path]:
+    """Files of a directory whose names say that they are one bag, in the order of their numbers; none if they do not.
+
+    A bag that was killed has no metadata; its files are called as ``part_0.mcap`` and ``part_1.mcap``.
+    """
+    files = [file for file in path.iterdir() if ".mcap" in file.suffixes and file.is_file()]
+    parts = [_NUMBERED.fullmatch(file.name.partition(".mcap")[0]) for file in files]
+    if len(files) < 2:
+        return [_unpacked(file) for file in files]
+    if None in parts or len({part[1] for part in parts if part}) > 1:
+        return []
+    # a file that was unpacked stands beside the compressed one
+    whole = {int(part[2]): _unpacked(file) for file, part in zip(files, parts, strict=True) if part}
+    return [whole[number] for number in sorted(whole)]
+
+
+def _split_files(path: Path) -> list[Path]:
+    if files := split_files(path):
+        return files
+    raise InputError(f"{path}: has no {METADATA}, and its names do not say that its files are one bag; give one file")
 
 
 def _unpacked(file: Path) -> Path:

@@ -270,7 +270,10 @@ def _named(number: NDArray[Any], names: dict[int, str]) -> Labels:
 def _is_bag(head: bytes, path: Path) -> bool:
     """Whether a path is a bag by its content, or is called one; also a directory of rosbag2."""
     if path.is_dir():
-        return (path / "metadata.yaml").is_file()
+        # Imported here: a file of text needs no messages, whose code takes long to load.
+        from sugiyama_ros.formats.mcap_reader import split_files
+
+        return (path / "metadata.yaml").is_file() or bool(split_files(path))
     return head.startswith(MAGIC) or path.suffix.lower() == ".mcap" or path.name.endswith((".mcap.zstd", ".mcap.zst"))
 
 

@@ -205,6 +205,8 @@ def clock_of_digits(time: Array) -> Array | None:
 
     Such numbers have no minute and no second above 59, and jump by 40 more where a minute ends.
     """
+    if np.nanmax(np.abs(time), initial=0.0) >= 240_000_000.0:
+        return None
     for part in (1.0, 1e-3):
         digits = np.round(time * part, 6)
         beyond = (digits < 0.0) | (digits >= 240_000.0) | (digits % 100.0 >= 60.0) | (digits // 100.0 % 100.0 >= 60.0)
@@ -248,6 +250,8 @@ _BLOCK = 1 << 16
 # Bytes of one element below the first one, at most: what is read is bounded, however much is packed into a file.
 _LARGEST_ELEMENT = 50_000_000
 _MARK = b"\xef\xbb\xbf"
+# What the parser calls a file that ends early: no element, a token that is not closed, half a letter.
+_CUT_OFF = (3, 5, 6)
 Parser: TypeAlias = "ElementTree.XMLPullParser[ElementTree.Element]"
 
 
@@ -296,7 +300,13 @@ def elements(path: Path, *tags: str) -> Iterator[ElementTree.Element]:
                     element.clear()
                     depth[0].remove(element)
         except ElementTree.ParseError as error:
-            raise InputError(f"{path}:{error.position[0]}: not XML: {error}; correct the file") from None
+            if error.code not in _CUT_OFF:
+                raise InputError(f"{path}:{error.position[0]}: not XML: {error}; correct the file") from None
+            cure = "get the file again, or let the program that writes it come to its end"
+            if len(tags) == 1 and depth:
+                # elements of one kind are a sequence, whose beginning is right without its end
+                cure += f", or cut it behind its last </{tags[0]}> and add </{depth[0].tag}>"
+            raise InputError(f"{path}:{error.position[0]}: ends early; {cure}") from None
 
 
 def _events(path: Path, stream: BinaryIO, parser: "Parser") -> Iterator[tuple[str, ElementTree.Element]]:

@@ -90,7 +90,13 @@ def read_all(source: str | Path | Sequence[str | Path], choices: Choices, name: 
             f"{paths[0]}: a file of the format {form.name}, whose positions are of centres; leave out the reference"
             f" ({choices.reference})"
         )
-    tracks = form.read(paths[0], choices)
+    try:
+        tracks = form.read(paths[0], choices)
+    except InputError as error:
+        own = _recognised(paths[0]) if choices.columns and name == "auto" else None
+        if own is None or own.name == form.name:
+            raise
+        raise InputError(f"{error}; or leave out --columns: the file has the form of {own.name}") from None
     if choices.network is None:
         return tracks
     return replace(tracks, about=tracks.about.noting(*choices.network.notes))
@@ -101,9 +107,14 @@ def format_of(path: Path) -> Format:
     head = head_of(path)
     if not head and not path.is_dir():
         raise InputError(f"{path}: empty file; give tracks in {known_suffixes()}")
-    for known in formats():
-        if known.recognise(head, path):
-            return known
+    if known := _recognised(path):
+        return known
     failed = "".join(f"; format {name}: {reason}" for (group, name), reason in plugins.FAILED.items() if group == GROUP)
     why = why_no_text(head) or f"not a known file format; give a file in {known_suffixes()}{failed}"
     raise InputError(f"{path}: {why}")
+
+
+def _recognised(path: Path) -> Format | None:
+    """The first format that recognises a file or a folder."""
+    head = head_of(path)
+    return next((known for known in formats() if known.recognise(head, path)), None)

@@ -1,5 +1,6 @@
 """SUMO's floating car data: XML, and the same as CSV or Parquet."""
 
+import re
 from array import array
 from collections.abc import Mapping
 from dataclasses import replace
@@ -10,11 +11,21 @@ import numpy as np
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
-from sugiyama_ros.formats.columns import Rows, about_file, need, put_together, read_columns, stacked, take, text_of
+from sugiyama_ros.formats.columns import (
+    Rows,
+    about_file,
+    fits,
+    need,
+    put_together,
+    read_columns,
+    stacked,
+    take,
+    text_of,
+)
 from sugiyama_ros.formats.format import Format
 from sugiyama_ros.formats.on_road import on_road
 from sugiyama_ros.formats.reading import attribute, elements, has_root
-from sugiyama_ros.formats.sheet import MAX_ROWS, head_of, sheet_of
+from sugiyama_ros.formats.sheet import MAX_ROWS, Sheet, head_of, sheet_of
 from sugiyama_ros.roads.network import Network
 from sugiyama_ros.trajectories.labels import Labels, labels
 from sugiyama_ros.trajectories.tracks import Tracks
@@ -22,17 +33,19 @@ from sugiyama_ros.trajectories.tracks import Tracks
 # Length [m] of vehicles of SUMO, unless their type says otherwise; the files do not say it.
 _LENGTH_M = 5.0
 _WANTED = {
-    "time_s": need("timestep_time"),
-    "vehicle": need("vehicle_id"),
-    "s_m": need("vehicle_pos"),
-    "lane_name": take("vehicle_lane"),
-    "edge": take("vehicle_edge"),
-    "speed": need("vehicle_speed"),
-    "class": take("vehicle_type"),
-    "leader": take("vehicle_leaderID"),
-    "gap_m": take("vehicle_leaderGap"),
-    "length_m": take("vehicle_length"),
+    "time_s": need("timestep_time", "time"),
+    "vehicle": need("vehicle_id", "id"),
+    "s_m": need("vehicle_pos", "pos"),
+    "lane_name": take("vehicle_lane", "lane"),
+    "edge": take("vehicle_edge", "edge"),
+    "speed": need("vehicle_speed", "speed"),
+    "class": take("vehicle_type", "type"),
+    "leader": take("vehicle_leaderID", "leaderID"),
+    "gap_m": take("vehicle_leaderGap", "leaderGap"),
+    "length_m": take("vehicle_length", "length"),
 }
+# Name of a lane in a table.
+_LANE = re.compile(r'\s*"?[^\s"]+_\d+"?\s*')
 _TEXTS = {"vehicle": "id", "lane_name": "lane", "edge": "edge", "class": "type", "leader": "leaderID"}
 _NUMBERS = {"s_m": "pos", "speed": "speed"}
 # Where vehicles are in the plane: their front bumpers.
@@ -89,7 +102,7 @@ def _read(path: Path, more: dict[str, str]) -> Rows:
     sheet = sheet_of(path, head)
     if sheet is None:
         raise InputError(f"{path}:1: not the columns of SUMO; check the file")
-    return read_columns(sheet, _WANTED | {name: need(f"vehicle_{source}") for name, source in more.items()})
+    return read_columns(sheet, _WANTED | {name: need(f"vehicle_{source}", source) for name, source in more.items()})
 
 
 def _on_road(path: Path, choices: Choices, network: Network) -> Tracks:
@@ -210,7 +223,20 @@ def _recognise(head: bytes, path: Path) -> bool:
     if _is_xml(head, path):
         return True
     sheet = sheet_of(path, head)
-    return sheet is not None and sheet.has("timestep_time", "vehicle_id", "vehicle_pos", "vehicle_speed")
+    if sheet is None or not fits(sheet, _WANTED):
+        return False
+    # with a plain header, others may mean other things by such names
+    return sheet.has("timestep_time", "vehicle_id") or _has_lanes(sheet, head)
+
+
+def _has_lanes(sheet: Sheet, head: bytes) -> bool:
+    """Whether the first row of a table of text is on a lane of SUMO, as E1_0."""
+    rows, lane = head.decode("utf-8-sig", errors="replace").splitlines(), sheet.find("lane")
+    if sheet.is_parquet or lane is None or len(rows) <= sheet.header:
+        return False
+    fields = rows[sheet.header].split(sheet.separator)
+    place = sheet.names.index(lane)
+    return place < len(fields) and _LANE.fullmatch(fields[place]) is not None
 
 
 FORMAT = Format(

@@ -76,6 +76,8 @@ def _tracks_of_sheet(sheet: Sheet, choices: Choices, about: About) -> Tracks:
         wanted = {name: take(name) for name in PAIRED} | wanted
         wanted["vehicle"] = replace(wanted["vehicle"], optional=True)
     hint = "" if names_vehicles else "; where a row has a follower and the leader, give time_s, s_m and leader_s_m"
+    if not names_vehicles and sheet.find(*_PLAIN["s_m"].names) is None and _has_speeds(sheet):
+        hint += " (of speeds, s_m is the sum of speed times step, and leader_s_m is s_m + gap + the leader's length)"
     columns = read_columns(sheet, wanted, hint)
     if is_pair:
         columns, about = both_of(columns), replace(about, leaders="given")
@@ -92,6 +94,10 @@ def _tracks_of_sheet(sheet: Sheet, choices: Choices, about: About) -> Tracks:
     if positions == {"position_m"} and not _OF_PARTS & set(columns):
         about = replace(about, view="whole")
     return put_together(columns, about, choices)
+
+
+def _has_speeds(sheet: Sheet) -> bool:
+    return any("speed" in name.lower() or "velocity" in name.lower() for name in sheet.names)
 
 
 def write_csv(road: DenseTracks, target: Target) -> None:

@@ -328,6 +328,23 @@ def test_bags_of_another_storage(tmp_path: Path) -> None:
         check(converted(Path(then))[0], unknown=0.001)
 
 
+def test_directories_that_were_indexed_again_or_have_no_metadata(tmp_path: Path) -> None:
+    feeds = [odometry(car, every(0.1)) for car in range(CARS)]
+    both = [[one for one in feed if (one.log_s < 20.0) == early] for early in (True, False) for feed in feeds]
+    parts = {f"run_{k + 9}.mcap": write(tmp_path / f"{k}.mcap", *both[3 * k : 3 * k + 3]) for k in range(2)}
+    bag = folder(tmp_path / "bag", dict(parts))
+    meta = (bag / "metadata.yaml").read_text()
+    (bag / "metadata.yaml").write_text(meta.replace("identifier: mcap", "identifier: ''"))
+    check(converted(bag)[0], unknown=0.001)
+    (bag / "metadata.yaml").unlink()
+    check(converted(bag)[0], unknown=0.001)
+    assert "1203" in sugiyama("info", bag)[1]
+    (bag / "run_9.mcap").rename(bag / "other.mcap")
+    assert "its names do not say that its files are one bag; give one file" in refused(bag)
+    (bag / "metadata.yaml").write_text(meta.replace("identifier: mcap", "identifier: ''").replace(".mcap", ".db3"))
+    assert "write `storage_identifier: sqlite3` into metadata.yaml, run `rosbags-convert --src" in refused(bag)
+
+
 def metadata_of(bag: Path) -> str:
     topics = "".join(
         f"    - topic_metadata: {{name: /car{car}/odom, type: {ODOMETRY}, serialization_format: cdr,"

@@ -360,6 +360,76 @@ def test_sumo_without_lanes_has_no_leaders(sugiyama, separator):
 # ---- CommonRoad
 
 
+@pytest.mark.parametrize("separator", [";", ","])
+def test_sumo_writes_plain_headers(sugiyama, separator):
+    """The same file with `--output.column-header plain`; with a map, the message says that it needs none."""
+    names = {"timestep_time": "time", "vehicle_id": "id", "vehicle_pos": "pos", "vehicle_speed": "speed"}
+    rows = [
+        {
+            "timestep_time": i,
+            "vehicle_id": f"f.{k}",
+            "vehicle_pos": s % 300,
+            "vehicle_speed": 10.0,
+            "vehicle_lane": lane,
+        }
+        for i in range(40)
+        for k in range(3)
+        for s in [60.0 * k + 10.0 * i]
+        for lane in [f"E{1 + int(s // 300)}_0"]
+    ]
+    tagged = pd.DataFrame(rows)
+    tagged.to_csv("tag.csv", index=False, sep=separator)
+    tagged.rename(columns=names | {"vehicle_lane": "lane"}).to_csv("plain.csv", index=False, sep=separator)
+    said = info(sugiyama, "plain.csv")
+    assert said["Format"] == "sumo"
+    assert said["Leaders"] == info(sugiyama, "tag.csv")["Leaders"]
+    Path("map.yaml").write_text("{vehicle: id, time_s: time, s_m: pos, lane: lane, speed: speed}")
+    code, _, err = sugiyama("convert", "plain.csv", "o.csv", "--columns", "map.yaml")
+    assert (code, err.rstrip()[-55:]) == (2, "; or leave out --columns: the file has the form of sumo")
+    assert sugiyama("convert", "plain.csv", "o.csv")[0] == 0
+
+
+def test_plain_names_alone_are_not_those_of_sumo(sugiyama):
+    table = CARS.rename(columns={"time_s": "time", "vehicle": "id", "position_m": "pos"}).assign(
+        speed=12.0, lane="left_a"
+    )
+    table.to_csv("own.csv", index=False)
+    code, _, err = sugiyama("info", "own.csv")
+    assert (code, "no column vehicle" in err) == (2, True)
+
+
+@pytest.mark.parametrize("cut", [0, 9, 40])
+def test_a_file_that_ends_early_is_read_once_it_is_ended_as_said(sugiyama, cut):
+    text = fcd(((i, k) for i in range(40) for k in range(3)), 'lane="E0_0"')
+    whole = text[: text.index("</fcd-export>")]
+    Path("cut.xml").write_text(whole[: len(whole) - cut])
+    code, _, err = sugiyama("info", "cut.xml")
+    assert code == 2
+    last, end = re.search(r"ends early; .* cut it behind its last (\S+) and add (\S+)$", err.strip()).groups()
+    Path("cut.xml").write_text(whole[: whole.rindex(last, 0, len(whole) - cut) + len(last)] + end)
+    assert info(sugiyama, "cut.xml")["Vehicles"] == "3"
+
+
+def test_positions_follow_from_speeds_as_the_message_says(sugiyama):
+    drive = pd.DataFrame({"time": CARS.time_s.unique(), "ego_speed": 12.0, "range": 25.0})
+    drive.to_csv("drive.csv", index=False)
+    code, _, err = sugiyama("info", "drive.csv")
+    assert (code, "s_m is the sum of speed times step, and leader_s_m is s_m + gap" in err) == (2, True)
+    s_m = (drive.ego_speed * 0.1).cumsum()
+    cured = pd.DataFrame({"time_s": drive.time, "s_m": s_m, "leader_s_m": s_m + drive.range + 4.5})
+    cured.to_csv("cured.csv", index=False)
+    assert info(sugiyama, "cured.csv")["Leaders"].startswith("50.0% in the table")
+
+
+def test_recordings_that_are_too_short_are_named(sugiyama):
+    CARS[CARS.time_s < 4.0].assign(lane=1).to_csv("short.csv", index=False)
+    code, _, err = sugiyama("calibrate", "short.csv")
+    assert (code, "nobody is seen for more than 3.9 s, but drivers must be seen to follow for 5 s; give" in err) == (
+        2,
+        True,
+    )
+
+
 def bound(points: list[tuple[float, float]], off: float) -> str:
     text = ""
     for k, (x, y) in enumerate(points):

@@ -42,8 +42,14 @@ def test_drivers_who_follow_for_a_short_time_are_left_out(tracks):
     # one vehicle leaves, and its follower follows somebody who is not known from then on
     assert [d.vehicle for d in found.drivers] == ["2", "3", "4"]
     assert len(found.table().rows) == 3 + 1
-    with pytest.raises(InputError, match="nobody follows a known vehicle for 5 s"):
+    with pytest.raises(
+        InputError,
+        match=r"nobody is seen for more than 4\.33 s, but .* for 5 s; give longer",
+    ):
         calibrate_tracks(tracks.select(leaves))
+    alone = np.asarray(tracks.run) == 1
+    with pytest.raises(InputError, match="nobody follows a known vehicle for 5 s"):
+        calibrate_tracks(tracks.select(alone))
 
 
 def test_classes_are_told_apart_by_their_leaders(tracks):
