@@ -73,7 +73,9 @@ def chosen(tracks: Tracks, selection: Selection) -> Tracks:
 
 def _is_one_of(column: Labels | None, wanted: tuple[str, ...], option: str) -> Mask:
     used = column.used() if column is not None else ()
-    missing = [text for text in wanted if text not in used]
+    # who is beside the road, or no driver, was left out before
+    known = column.text if column is not None and option == "without" else used
+    missing = [text for text in wanted if text not in known]
     if column is None or missing:
         there = f"choose among {', '.join(used[:20])}" if used else "the tracks do not say it; leave it out"
         raise InputError(f"--{option} {missing[0] if missing else wanted[0]}: does not occur; {there}")

@@ -11,7 +11,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.trajectories.kinds import class_name
-from sugiyama_ros.trajectories.selection import Selection
+from sugiyama_ros.trajectories.selection import Selection, select
 from sugiyama_ros.trajectories.tracks import Tracks
 
 SAMPLES = 60
@@ -54,6 +54,7 @@ def test_a_walker_and_a_barrier_drive_nothing_and_hide_who_is_ahead() -> None:
     assert first_leaders(tracks) == {"a": "", "b": "", "c": "b", "y": "c"}
     assert tracks.vehicle_class is not None
     assert tracks.vehicle_class.used() == ("bicycle", "car")
+    assert select(tracks, Selection(without=("w", "b"))).vehicle.used() == ("a", "c", "y")
     assert any("left out: 1 barrier, 1 pedestrian" in note for note in tracks.about.notes)
     assert dict(tracks.about.dropped) == {"no driver": 2 * SAMPLES}
 
