@@ -4,7 +4,6 @@ F. Poggenhans et al.: Lanelet2: A high-definition map framework for the future o
 Transportation Systems Conference, 2018, doi 10.1109/ITSC.2018.8569929.
 """
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,36 +14,41 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.map_parts import LeftOut, at_parts, linked, middle_of
 from sugiyama_ros.formats.reading import elements, number
 from sugiyama_ros.roads.conflicts import conflicts_of_geometry
 from sugiyama_ros.roads.network import FARTHEST_M, Lanelet, Network, Signal
 
-# Subtypes of lanelets for cars.
-_FOR_CARS = {"road", "highway", "play_street", "exit", "bus_lane"}
+# Subtypes of lanelets for cars; other lanelets are for cars if they say so themselves.
+_FOR_CARS = {"", "road", "highway", "play_street", "exit", "bus_lane"}
+_SAYS_CARS = ("participant:vehicle", "participant:vehicle:car")
 # Nodes of a map, at most.
 _MAX_NODES = 1_000_000
-# Way [m] between two points of a middle line, about.
-_STEP_M = 2.0
-# Widths [m] of lanelets, at least and at most: some begin or end with no width at all.
-_WIDTHS_M = (0.5, 50.0)
 # A map nearer to latitude and longitude 0 than this [degrees] was drawn about that point.
 _NEAR_ZERO = 1.0
-# A speed, and the units it may have [m/s].
-_SPEED = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(km/h|kmh|mph|m/s|mps)?\s*")
-_UNITS = {"km/h": 1.0 / 3.6, "kmh": 1.0 / 3.6, "mph": 0.44704, "m/s": 1.0, "mps": 1.0}
+# Parts of the lengths of two bounds between which their directions are compared, and the difference that counts.
+_PARTS: Array = np.linspace(0.0, 1.0, 11, dtype=np.float64)
+_CLEARLY = 0.5
+# A map of roads that vehicles are recorded on spans less [degrees].
+_WIDEST = 2.0
 
 
 class _Relation(NamedTuple):
-    """A relation: its tags, and the numbers of its members by role."""
+    """A relation: its name, its tags, and the numbers of its members by role."""
 
+    name: str
     tags: dict[str, str]
     members: dict[str, list[str]]
 
 
 @dataclass
 class _Map:
-    """A map: local places of nodes [m] and their latitudes and longitudes [degrees]; ways, lanelets and rules."""
+    """A map: local places of nodes [m] and their latitudes and longitudes [degrees]; ways, lanelets and rules.
 
+    left_out: what is not read.
+    """
+
+    left_out: LeftOut
     local: dict[str, tuple[float, float]] = field(default_factory=dict)
     degrees: dict[str, tuple[float, float]] = field(default_factory=dict)
     way: dict[str, list[str]] = field(default_factory=dict)
@@ -70,39 +74,54 @@ class _Bounds(NamedTuple):
 
 def read_lanelet2(path: Path) -> Network:
     """Read a map of Lanelet2. Raises InputError."""
-    file = _Map()
+    file = _Map(LeftOut(path))
     for element in elements(path, "node", "way", "relation"):
         if element.get("action") == "delete":
             continue
         name = element.get("id", "")
         if element.tag == "node":
-            _add_node(file, element, f"{path}: node {name[:40]}")
+            with file.left_out.unreadable("nodes"):
+                _add_node(file, element, f"{path}: node {name[:40]}")
         elif element.tag == "way":
             file.way[name] = [one.get("ref", "") for one in element.iterfind("nd")]
         else:
             relation = _relation(element)
-            if relation.tags.get("type") == "lanelet" and relation.tags.get("subtype", "road") in _FOR_CARS:
-                file.lanelets[name] = relation
+            if relation.tags.get("type") == "lanelet":
+                kind = relation.tags.get("subtype", "")
+                if kind in _FOR_CARS or "yes" in (relation.tags.get(one) for one in _SAYS_CARS):
+                    file.lanelets[name] = relation
+                else:
+                    file.left_out.not_for_cars(kind[:40])
             elif relation.tags.get("type") == "regulatory_element":
                 file.rules[name] = relation
         if len(file.degrees) + len(file.local) + len(file.way) > _MAX_NODES:
             raise InputError(f"{path}: more than {_MAX_NODES} nodes and ways; cut the map")
-    if not file.lanelets:
-        raise InputError(f"{path}: no lanelets for cars; give a map of Lanelet2")
-    if file.degrees.keys() - file.local.keys():
+    if len(file.degrees) > len(file.local) and len(set(file.degrees.values())) > 1:
         # local places count if all nodes have them
-        file.local = dict(zip(file.degrees, projected(np.array([*file.degrees.values()])).tolist(), strict=True))
+        file.local = dict(zip(file.degrees, _projected(file, path).tolist(), strict=True))
     try:
         return _network(file)
     except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+        raise error if str(error).startswith(str(path)) else InputError(f"{path}: {error}") from None
+
+
+def _projected(file: _Map, path: Path) -> Array:
+    """Places (N, 2) [m] of latitudes and longitudes. Raises InputError for numbers that are none."""
+    degrees = np.array([*file.degrees.values()])
+    low, middle, high = np.quantile(degrees, (0.1, 0.5, 0.9), axis=0)
+    if (high - low > _WIDEST).any() or (np.abs(middle) > [90.0, 180.0]).any():
+        raise InputError(
+            f"{path}: lat and lon of its nodes, such as {middle[0]:.6g}, {middle[1]:.6g}, are metres, not degrees;"
+            " write metres as the tags local_x and local_y of each node"
+        )
+    return projected(degrees)
 
 
 def _relation(element: Element) -> _Relation:
     members: dict[str, list[str]] = {}
     for one in element.iterfind("member"):
         members.setdefault(one.get("role", ""), []).append(one.get("ref", ""))
-    return _Relation(_tags(element), members)
+    return _Relation(element.get("id", ""), _tags(element), members)
 
 
 def _tags(element: Element) -> dict[str, str]:
@@ -116,7 +135,8 @@ def _add_node(file: _Map, element: Element, where: str) -> None:
         (element.attrib, ("x", "y"), file.local),
         (element.attrib, ("lat", "lon"), file.degrees),
     ):
-        if names[0] in source and name not in places:
+        # a map in a local frame may have empty latitudes
+        if source.get(names[0], "").strip() and name not in places:
             first, second = (number(source.get(one, ""), one, where) for one in names)
             places[name] = first, second
 
@@ -159,22 +179,32 @@ def _mercator(degrees: Array, meridian: float) -> Array:
 
 
 def _network(file: _Map) -> Network:
-    bounds = {name: _bounds(file, name, one) for name, one in file.lanelets.items()}
+    bounds: dict[str, _Bounds] = {}
+    for name, relation in file.lanelets.items():
+        with file.left_out.unreadable("lanelets"):
+            bounds[name] = _bounds(file, name, relation)
     begins: dict[tuple[str, str], list[str]] = {}
     for name, one in bounds.items():
         begins.setdefault((one.left[0], one.right[0]), []).append(name)
     by_left, by_right = ({getattr(one, side): name for name, one in bounds.items()} for side in ("left", "right"))
-    lanes = []
+    found: dict[str, Lanelet] = {}
+    points: dict[str, Sequence[str]] = {}
     for name, (left, right) in bounds.items():
-        x, y, width = _middle(file.places(left), file.places(right))
         after = tuple(begins.get((left[-1], right[-1]), ()))
-        limit = _limit(file, file.lanelets[name])
-        lanes.append(Lanelet(name, x, y, after, by_right.get(left, ""), by_left.get(right, ""), limit, width))
-    network = Network(tuple(lanes))
+        x, y, width = middle_of(file.places(left), file.places(right))
+        if len(x) == 1:
+            points[name] = after
+            continue
+        with file.left_out.unreadable("lanelets"):
+            limit = _limit(file, file.lanelets[name])
+            found[name] = Lanelet(name, x, y, after, by_right.get(left, ""), by_left.get(right, ""), limit, width)
+    file.left_out.check_any(found, "give a map of Lanelet2")
+    lanes = linked(found, points)
+    network = Network(lanes)
     first, stop_m = _right_of_way(file, network)
     conflicts = conflicts_of_geometry(lanes, stop_m=stop_m)
     conflicts = tuple(replace(one, yields=one.other in first.get(one.lane, ())) for one in conflicts)
-    return Network(network.lanes, conflicts, tuple(_signals(file, network)))
+    return Network(lanes, conflicts, tuple(_signals(file, network)), file.left_out.notes())
 
 
 def _bounds(file: _Map, name: str, lanelet: _Relation) -> _Bounds:
@@ -183,38 +213,37 @@ def _bounds(file: _Map, name: str, lanelet: _Relation) -> _Bounds:
     if len(ways) != 2 or min(map(len, ways)) < 2:
         raise InputError(f"lanelet {name}: not one left and one right bound of two nodes or more; correct the map")
     left, right = ways
-    one, other = file.places(left), file.places(right)
-    if _apart(one, other) > _apart(one, other[::-1]):
+    try:
+        one, other = file.places(left), file.places(right)
+    except InputError as error:
+        raise InputError(f"lanelet {name}: {error}") from None
+    one, other = at_parts(one, _PARTS), at_parts(other, _PARTS)
+    steps = np.diff(one, axis=0)
+    same, turned = (_alike(steps, np.diff(there, axis=0)) for there in (other, other[::-1]))
+    if turned > same + _CLEARLY:
         right, other = right[::-1], other[::-1]
-    way, across = one[-1] + other[-1] - one[0] - other[0], one[0] + one[-1] - other[0] - other[-1]
-    if way[0] * across[1] < way[1] * across[0]:
-        left, right = left[::-1], right[::-1]
+    # forward along the right bound and back along the left one is a way around the lanelet, to the left
+    around = np.concatenate((other, one[::-1])) - one[0]
+    if float(np.sum(around[:, 0] * np.roll(around[:, 1], -1) - around[:, 1] * np.roll(around[:, 0], -1))) < 0.0:
+        # inside a tight turn, a bound is almost a point, and stays as it is
+        both, outer_is_left = abs(turned - same) > _CLEARLY, np.ptp(one, axis=0).max() > np.ptp(other, axis=0).max()
+        left = left[::-1] if both or outer_is_left else left
+        right = right[::-1] if both or not outer_is_left else right
     return _Bounds(tuple(left), tuple(right))
 
 
-def _apart(one: Array, other: Array) -> float:
-    return float(np.hypot(*(one[0] - other[0])) + np.hypot(*(one[-1] - other[-1])))
-
-
-def _middle(left: Array, right: Array) -> tuple[Array, Array, float]:
-    """The middle of two bounds: x, y (P,) [m], halfway between places at the same part of their lengths; its width."""
-    ways = [np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(one, axis=0).T)))) for one in (left, right)]
-    count = max(len(left), len(right), int(max(way[-1] for way in ways) / _STEP_M) + 1)
-    part = np.linspace(0.0, 1.0, count)
-    points = [
-        np.stack([np.interp(part * way[-1], way, axis) for axis in one.T])
-        for one, way in zip((left, right), ways, strict=True)
-    ]
-    x, y = 0.5 * (points[0] + points[1])
-    return x, y, float(np.clip(np.hypot(*(points[0] - points[1])).mean(), *_WIDTHS_M))
+def _alike(steps: Array, others: Array) -> float:
+    """Mean cosine of the angles between steps (K, 2) [m] of two lines: 1 side by side, -1 if one is turned round."""
+    return float(np.sum(steps * others) / max(np.sum(np.hypot(*steps.T) * np.hypot(*others.T)), 1e-12))
 
 
 def _limit(file: _Map, lanelet: _Relation) -> float:
     """Speed limit [m/s] of a lanelet; infinite where the map does not say it."""
     rules = (file.rules[name].tags for name in lanelet.members.get("regulatory_element", ()) if name in file.rules)
     texts = [tags.get("sign_type", "") for tags in rules if tags.get("subtype") == "speed_limit"]
-    found = [match for text in (*texts, lanelet.tags.get("speed_limit", "")) if (match := _SPEED.fullmatch(text))]
-    return min((float(one[1]) * _UNITS[one[2] or "km/h"] for one in found if float(one[1]) > 0.0), default=np.inf)
+    texts = [text for text in (*texts, lanelet.tags.get("speed_limit", "")) if text]
+    limits = [file.left_out.speed_limit(text, "km/h", f"lanelet {lanelet.name[:40]}") for text in texts]
+    return min((limit for limit in limits if limit is not None), default=np.inf)
 
 
 def _stop(file: _Map, rule: _Relation, lane: Lanelet) -> float:

@@ -7,12 +7,19 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.roads.network import Lanelet
 
 # A speed, and the units it may have [m/s].
 _SPEED = re.compile(r"\s*(\d+(?:\.\d+)?)\s*([a-z/]*)\s*", re.IGNORECASE)
 _UNITS = {"km/h": 1.0 / 3.6, "kmh": 1.0 / 3.6, "kph": 1.0 / 3.6, "mph": 0.44704, "m/s": 1.0, "mps": 1.0}
+# Way [m] between two points of a middle line, about.
+_STEP_M = 2.0
+# Widths [m] of lanes, at least and at most: some begin or end with no width at all.
+_WIDTHS_M = (0.5, 50.0)
 
 
 class LeftOut:
@@ -99,3 +106,24 @@ def linked(lanes: Mapping[str, Lanelet], points: Mapping[str, Sequence[str]] | N
         )
         for lane in lanes.values()
     )
+
+
+def middle_of(left: Array, right: Array) -> tuple[Array, Array, float]:
+    """The middle of two bounds (N, 2) [m], and the mean width [m].
+
+    The middle is x, y (P,) [m], halfway between places at the same part of the lengths of the bounds; P is 1 if the
+    lane has no length.
+    """
+    lengths_m = [float(np.hypot(*np.diff(one, axis=0).T).sum()) for one in (left, right)]
+    count = max(len(left), len(right), int(max(lengths_m) / _STEP_M) + 1)
+    part: Array = np.linspace(0.0, 1.0, count, dtype=np.float64)
+    points = [at_parts(one, part) for one in (left, right)]
+    middle = 0.5 * (points[0] + points[1])
+    kept = middle[np.concatenate(([True], np.hypot(*np.diff(middle, axis=0).T) > 0.0))]
+    return kept[:, 0], kept[:, 1], float(np.clip(np.hypot(*(points[0] - points[1]).T).mean(), *_WIDTHS_M))
+
+
+def at_parts(points: Array, part: Array) -> Array:
+    """Places (K, 2) [m] at parts (K,) of the length of a line through points (N, 2) [m]."""
+    way = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
+    return np.stack([np.interp(part * way[-1], way, axis) for axis in points.T], axis=1)

@@ -16,7 +16,7 @@ CLEARANCE_M = 2.5
 _OF_WIDTH = 0.8
 # Way [m] between the points of a middle line at which it is compared with others.
 _STEP_M = 0.5
-# Points are not compared with pieces of a line that are farther away [m].
+# Points are not compared with pieces of a line that are farther away [m]; a lane may also be too short to part two.
 _FAR_M = 2.0 * CLEARANCE_M
 # Length [m] of all lanes together, at most.
 _LONGEST_M = 1e6
@@ -238,9 +238,19 @@ def _turned(area: _Area) -> _Area:
 
 def _begins(area: _Area, i: int, j: int, network: Network) -> bool:
     """Whether lane j begins in an area as the one that follows lane i, or as lane i does after the same lane."""
-    follows = j in network.after[i] and area.leave[0] >= network.lanes[i].length_m - _AT_END_M
+    follows = j in _soon_after(i, network) and area.leave[0] >= network.lanes[i].length_m - _AT_END_M
     forks = area.enter[0] <= _AT_END_M and not set(network.before[i]).isdisjoint(network.before[j])
     return area.enter[1] <= _AT_END_M and (follows or forks)
+
+
+def _soon_after(i: int, network: Network) -> set[int]:
+    """Lanes that follow a lane, also after others that are shorter than two lanes are apart."""
+    found, waiting = set[int](), [i]
+    while waiting:
+        new = set(network.after[waiting.pop()]) - found
+        found |= new
+        waiting += [k for k in new if network.lanes[k].length_m < _FAR_M]
+    return found
 
 
 def _goes_on(area: _Area, i: int, j: int, areas: _Areas, parting: set[tuple[int, int, int]], network: Network) -> bool:

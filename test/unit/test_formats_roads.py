@@ -66,7 +66,7 @@ def test_a_road_in_csv_says_who_yields_where(tmp_path: Path) -> None:
         ("lane,x_m,y_m\n", "road.csv: road: no lanes"),
         ("<net></net>", "road.csv: no lanes for cars; give a network of SUMO"),
         ("<kml></kml>", "road.csv: not a road of Lanelet2, CommonRoad or SUMO"),
-        ("<osm></osm>", "road.csv: no lanelets for cars"),
+        ("<osm></osm>", "road.csv: no lanes for cars; give a map of Lanelet2"),
         ("<commonRoad></commonRoad>", "road.csv: no lanelets"),
     ],
 )
@@ -114,9 +114,13 @@ def test_damaged_maps_of_lanelet2_are_refused(tmp_path: Path) -> None:
     path.write_text(good)
     assert sg.read_road(path).lanes[0].length_m == pytest.approx(11.13, abs=0.02)
     for old, new, error in (
-        ('lat="-3e-05"', 'lat="south"', "map.osm: node 3: lat 'south' is not a finite number"),
-        ('role="right"', 'role="rite"', "map.osm: lanelet 9: not one left and one right bound"),
-        ('<nd ref="4"/>', '<nd ref="5"/>', "map.osm: no node 5, or no place of it"),
+        (
+            'lat="-3e-05"',
+            'lat="south"',
+            "map.osm: no lanes for cars; the first cannot be read: node 3: lat 'south' is not a finite number",
+        ),
+        ('role="right"', 'role="rite"', "map.osm: no lanes for cars; .*: lanelet 9: not one left and one right bound"),
+        ('<nd ref="4"/>', '<nd ref="5"/>', "map.osm: no lanes for cars; .*: lanelet 9: no node 5, or no place of it"),
         ("</osm>", "", "map.osm:1: ends early; get the file again, or let"),
     ):
         path.write_text(good.replace(old, new))

@@ -123,3 +123,100 @@ def test_lengths_follow_from_gaps_also_on_a_road() -> None:
     gap = tracks.s_m[leader] - tracks.s_m[led] - 0.5 * (tracks.length_m[leader] + tracks.length_m[led])
     assert gap[tracks.vehicle_class.values()[leader] == "truck"].mean() == pytest.approx(12.55, abs=0.01)
     assert "road: lanes that are not for cars were left out: 1 bus" in tracks.about.notes
+
+
+def ladder(*more: str) -> str:
+    """Two lanelets of Lanelet2 in a line, from 0 to 40 m and on to 80 m, and more relations."""
+    places = {1: (0.0, 2.0), 2: (40.0, 2.0), 3: (80.0, 2.0), 4: (0.0, -2.0), 5: (40.0, -2.0), 6: (80.0, -2.0)}
+    ways = {10: [1, 2], 11: [4, 5], 12: [2, 3], 13: [5, 6], 14: [7, 8], 15: [9, 9]}
+    return maps.osm(places, ways, maps.lanelet(20, 10, 11), maps.lanelet(21, 12, 13), *more)
+
+
+def test_odd_parts_of_a_map_of_lanelet2_are_counted(tmp_path: Path) -> None:
+    path = tmp_path / "map.osm"
+    path.write_text(
+        ladder(
+            maps.lanelet(22, 14, 11),
+            maps.lanelet(23, 10, 99),
+            maps.lanelet(24, 12, 13, subtype="crosswalk"),
+            maps.lanelet(25, 12, 13, subtype="tram"),
+            maps.lanelet(26, 12, 13, subtype="crosswalk"),
+        )
+    )
+    road = sg.read_road(path)
+    assert [(one.name, one.successors) for one in road.lanes] == [("20", ("21",)), ("21", ())]
+    assert road.notes == (
+        "road: 2 lanelets cannot be read and were left out; the first: lanelet 22: no node 7, or no place of it; write"
+        " the map as a whole",
+        "road: lanes that are not for cars were left out: 2 crosswalk, 1 tram",
+    )
+
+
+def test_a_lanelet_says_itself_that_it_is_for_cars(tmp_path: Path) -> None:
+    path = tmp_path / "map.osm"
+    tags = {"subtype": "parking_aisle", "participant:vehicle": "yes", "speed_limit": "30 kph"}
+    path.write_text(ladder().replace("</osm>", f"{maps.lanelet(30, 12, 13, **tags)}</osm>"))
+    road = sg.read_road(path)
+    assert [one.name for one in road.lanes] == ["20", "21", "30"]
+    assert road.lanes[2].speed_limit == pytest.approx(30.0 / 3.6)
+
+
+@pytest.mark.parametrize("empty", ['lat="" lon=""', 'lat=" " lon=" "', 'lat="0" lon="0"'])
+def test_places_in_a_local_frame_need_no_latitudes(tmp_path: Path, empty: str) -> None:
+    """A node that nothing uses has no place at all."""
+    path = tmp_path / "map.osm"
+    path.write_text(ladder().replace('lat="0.0" lon="0.0"', empty).replace("<osm>", f'<osm><node id="99" {empty}/>'))
+    assert [one.length_m for one in sg.read_road(path).lanes] == [40.0, 40.0]
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (3000.0, 5_000_000.0), (-40.0, 0.0)])
+def test_metres_in_the_place_of_latitudes_are_told(tmp_path: Path, shift: tuple[float, float]) -> None:
+    path = tmp_path / "map.osm"
+    corners = {1: (0, 2), 2: (40, 2), 4: (0, -2), 5: (40, -2)}
+    nodes = {k: (x + shift[0], y + shift[1]) for k, (x, y) in corners.items()}
+    path.write_text(maps.osm(nodes, {10: [1, 2], 11: [4, 5]}, maps.lanelet(20, 10, 11), local=False))
+    with pytest.raises(InputError, match=r"map\.osm: lat and lon .* are metres, not degrees; write metres"):
+        sg.read_road(path)
+    # the cure works
+    path.write_text(maps.osm(nodes, {10: [1, 2], 11: [4, 5]}, maps.lanelet(20, 10, 11)))
+    assert sg.read_road(path).lanes[0].length_m == 40.0
+
+
+def test_tight_turns_and_loops_have_their_direction(tmp_path: Path) -> None:
+    """A turn of two lanelets about a point, of which bounds run either way, and nearly a whole circle."""
+    turn = {k: 0.5 * np.pi * (k - 10) / 10 for k in range(10, 21)}
+    outer = {k: (40.0 + 4.0 * np.sin(a), -2.0 + 4.0 * np.cos(a)) for k, a in turn.items()}
+    nodes = {1: (0.0, 2.0), 2: (40.0, 2.0), 3: (0.0, -2.0), 4: (40.0, -2.0), 5: (40.0, -2.0), 6: (44.0, -50.0)}
+    nodes |= {7: (40.0, -50.0), **outer}
+    for first, radius in ((100, 30.0), (120, 34.0)):
+        nodes |= {first + k: (radius * np.cos(0.3 * k), radius * np.sin(0.3 * k) + 200.0) for k in range(20)}
+    ways = {30: [1, 10], 31: [4, 3], 32: [*range(20, 9, -1)], 33: [4, 5], 34: [20, 6], 35: [5, 7]}
+    ways |= {36: [*range(119, 99, -1)], 37: [*range(120, 140)]}
+    nodes[10] = (40.0, 2.0)
+    lanelets = [maps.lanelet(40 + k, 30 + 2 * k, 31 + 2 * k) for k in range(4)]
+    path = tmp_path / "map.osm"
+    path.write_text(maps.osm(nodes, ways, *lanelets))
+    road = sg.read_road(path)
+    assert [one.successors for one in road.lanes] == [("41",), ("42",), (), ()]
+    # lanelets that follow one another over a short one do not meet
+    assert road.conflicts == ()
+    loop = road.lanes[3]
+    heading = loop.line.heading(np.array([0.0, loop.length_m]))
+    # counter-clockwise: the inner circle is to the left
+    assert heading[1] - heading[0] == pytest.approx(0.3 * 18, abs=0.1)
+
+
+@handed
+def test_the_handed_maps_of_lanelet2() -> None:
+    for name in ("map", "map_no_attributes", "map_zero"):
+        case = CASES / "lanelet2_empty_latlon"
+        tracks = sg.read(case / "vehicle_tracks_000.csv", road=case / f"{name}.osm")
+        assert set(tracks.leader.values()[tracks.vehicle.values() == "2"].tolist()) == {"1"}
+    for name in ("far", "near"):
+        with pytest.raises(InputError, match="are metres, not degrees"):
+            sg.read_road(CASES / f"lanelet2_metres_in_latlon/map_{name}.osm")
+    case = CASES / "lanelet2_zero_length_bound"
+    assert sg.read_road(case / "map.osm").conflicts == ()
+    tracks = sg.read(case / "vehicle_tracks_000.csv", road=case / "map.osm")
+    assert tracks.road.used() == ("7 15 20",)
+    assert np.isnan(tracks.line_m).all()
