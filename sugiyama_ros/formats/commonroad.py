@@ -21,11 +21,12 @@ from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.columns import about_file, put_together
-from sugiyama_ros.formats.commonroad_road import MAX_POINTS, lanelet_of, linked, value_of
+from sugiyama_ros.formats.commonroad_road import MAX_POINTS, add_lanelet, value_of
 from sugiyama_ros.formats.format import Format
+from sugiyama_ros.formats.map_parts import MapLanes
 from sugiyama_ros.formats.reading import elements, has_root, number, root_of
 from sugiyama_ros.formats.sheet import MAX_ROWS
-from sugiyama_ros.roads.network import Lanelet, Network
+from sugiyama_ros.roads.network import Network
 from sugiyama_ros.roads.routes import CHANGE, Place, SeenRows, Ways, places_near
 from sugiyama_ros.roads.view import Sides, is_beside, sides, widths
 from sugiyama_ros.trajectories.assemble import AGREES, lengths_of
@@ -199,7 +200,7 @@ def _read_commonroad(path: Path, choices: Choices) -> Tracks:
     """
     said = root_of(path).get("timeStepSize")
     period = _USUAL_S if said is None else number(said.strip(), "timeStepSize", str(path))
-    lanelets: dict[str, Lanelet] = {}
+    lanelets = MapLanes(path)
     rows = array("d")
     vehicles: list[str] = []
     kinds: list[str] = []
@@ -207,8 +208,8 @@ def _read_commonroad(path: Path, choices: Choices) -> Tracks:
     counts, points = Counter[str](), 0
     for element in elements(path, "lanelet", "dynamicObstacle", "staticObstacle", "obstacle"):
         if element.tag == "lanelet":
-            one = lanelets[element.get("id", "")] = lanelet_of(element, path)
-            points += len(one.x_m)
+            add_lanelet(element, path, lanelets)
+            points += len(element.findall("leftBound/point"))
             continue
         name, kind = element.get("id", ""), element.findtext("type", "").strip()
         if element.tag == "staticObstacle" or element.findtext("role", "").strip().lower() == "static":
@@ -220,7 +221,7 @@ def _read_commonroad(path: Path, choices: Choices) -> Tracks:
             kinds += [kind] * states
         if points > MAX_POINTS or len(vehicles) > MAX_ROWS:
             raise InputError(f"{path}: more than {MAX_POINTS} points of lanelets or {MAX_ROWS} states; split the file")
-    if not vehicles or not lanelets:
+    if not vehicles or not lanelets.lanes:
         raise InputError(f"{path}: no lanelets, or no obstacles with a trajectory; give a recorded scenario")
     drive, standing = len(vehicles), _add_standing(still, path, rows)
     vehicle = labels_of([*vehicles, *(name for name, _ in standing)])
@@ -232,7 +233,7 @@ def _read_commonroad(path: Path, choices: Choices) -> Tracks:
     of_class, size = labels_of(kinds), lengths_of(code, length)
     size_m = np.stack((size, widths(width, of_class, size)), axis=1)
     with np.errstate(over="ignore", invalid="ignore"):
-        columns = _placed(Network(linked(lanelets)), seen, size_m, vehicle.text)
+        columns = _placed(Network(lanelets.linked("give a recorded scenario")), seen, size_m, vehicle.text)
     columns |= {"vehicle": vehicle, "class": of_class, "time_s": time, "speed": speed}
     columns |= {"length_m": length, "width_m": width}
     # what stands beside all lanes is in nobody's way
@@ -241,6 +242,7 @@ def _read_commonroad(path: Path, choices: Choices) -> Tracks:
     columns = {name: column[kept] for name, column in columns.items()}
     areas = counts["areas"]
     about = about_file(path, leaders="given").noting(
+        *lanelets.notes(),
         f"places of {areas} states are areas in the file; their middles count" * (areas > 0),
         f"static obstacles beside all lanes, which were left out: {beside}" * (beside > 0),
     )

@@ -13,6 +13,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.map_parts import MapLanes, middle_of
 from sugiyama_ros.formats.reading import elements, number, root_of
 from sugiyama_ros.roads.conflicts import conflicts_of_geometry
 from sugiyama_ros.roads.network import Conflict, Lanelet, Network, Signal, periodic
@@ -21,8 +22,6 @@ from sugiyama_ros.roads.network import Conflict, Lanelet, Network, Signal, perio
 MAX_POINTS = 200_000
 #: Time [s] between two steps where the file does not say it.
 USUAL_S = 0.1
-# Widths [m] of lanelets, at least and at most: some begin or end with no width at all.
-_WIDTHS_M = (0.5, 50.0)
 # Types of lanelets that are not for vehicles.
 _NOT_FOR_VEHICLES = {"crosswalk", "sidewalk", "bicycleLane"}
 # Traffic signs: yield and stop; right of way and priority road; a speed limit [m/s]. The numbers are German.
@@ -38,74 +37,66 @@ def value_of(element: Element, name: str, where: str, of: str = "") -> float:
     return number(element.findtext(name, "").strip(), of + name.replace("/", " "), where)
 
 
-def lanelet_of(element: Element, path: Path) -> Lanelet:
-    """A lanelet, which names others that may not be there. Raises InputError."""
-    where = f"{path}: lanelet {element.get('id', '')[:40]}"
-    left, right = (
-        np.array([[value_of(p, "x", where), value_of(p, "y", where)] for p in element.iterfind(f"{side}Bound/point")])
-        for side in ("left", "right")
-    )
-    if len(left) != len(right) or len(left) < 2:
-        raise InputError(
-            f"{where}: {len(left)} points on the left and {len(right)} on the right; give two or more of each"
+def add_lanelet(element: Element, path: Path, lanes: MapLanes) -> None:
+    """Add a lanelet, which names others that may not be there, or leave it out."""
+    name = element.get("id", "")
+    where, after = f"{path}: lanelet {name[:40]}", _refs(element, "successor")
+    with lanes.unreadable("lanelets"):
+        left, right = (
+            np.array(
+                [[value_of(p, "x", where), value_of(p, "y", where)] for p in element.iterfind(f"{side}Bound/point")]
+            )
+            for side in ("left", "right")
         )
-    middle = 0.5 * (left + right)
-    x, y = middle[np.concatenate(([True], np.hypot(*np.diff(middle, axis=0).T) > 0.0))].T
-    beside_left, beside_right = (
-        next((one.get("ref", "") for one in element.iterfind(side) if one.get("drivingDir", "same") == "same"), "")
-        for side in ("adjacentLeft", "adjacentRight")
-    )
-    width = float(np.clip(np.hypot(*(left - right).T).mean(), *_WIDTHS_M))
-    try:
-        return Lanelet(
-            element.get("id", ""), x, y, _refs(element, "successor"), beside_left, beside_right, width_m=width
+        if min(len(left), len(right)) < 2:
+            raise InputError(
+                f"{where}: {len(left)} points on the left and {len(right)} on the right; give two or more of each"
+            )
+        x, y, width = middle_of(left, right, len(left) == len(right))
+        beside_left, beside_right = (
+            next((one.get("ref", "") for one in element.iterfind(side) if one.get("drivingDir", "same") == "same"), "")
+            for side in ("adjacentLeft", "adjacentRight")
         )
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-
-
-def linked(lanelets: Mapping[str, Lanelet]) -> tuple[Lanelet, ...]:
-    """Lanelets that name only those that are there."""
-    return tuple(
-        replace(
-            one,
-            successors=tuple(name for name in one.successors if name in lanelets),
-            left=one.left if one.left in lanelets else "",
-            right=one.right if one.right in lanelets else "",
-        )
-        for one in lanelets.values()
-    )
+        if len(x) == 1:
+            lanes.points[name] = after
+        else:
+            lanes.lanes[name] = Lanelet(name, x, y, after, beside_left, beside_right, width_m=width)
 
 
 def read_commonroad_road(path: Path) -> Network:
     """Read the road of a scenario. Raises InputError."""
     said = root_of(path).get("timeStepSize")
     period = USUAL_S if said is None else number(said.strip(), "timeStepSize", str(path))
-    file = _Scenario()
+    file = _Scenario(MapLanes(path))
     count = 0
     for element in elements(path, "lanelet", "trafficSign", "trafficLight", "intersection"):
         name = element.get("id", "")
         if element.tag == "trafficSign":
-            file.signs[name] = [*_signs(element, path)]
+            file.signs[name] = [*_signs(element, file.map)]
         elif element.tag == "trafficLight":
-            file.lights[name] = _light(element, path, period)
+            with file.map.unreadable("traffic lights"):
+                file.lights[name] = _light(element, path, period)
         elif element.tag == "intersection":
             file.incoming += [
                 ({goes: _refs(one, f"successors{goes}") for goes in _GOES.values()}, _refs(one, "incomingLanelet"))
                 for one in element.iterfind("incoming")
             ]
-        elif not {one.text for kind in ("laneletType", "type") for one in element.iterfind(kind)} & _NOT_FOR_VEHICLES:
-            file.lanelets[name] = lanelet_of(element, path)
+        elif (
+            kinds := {one.text for kind in ("laneletType", "type") for one in element.iterfind(kind)}
+            & _NOT_FOR_VEHICLES
+        ):
+            file.map.not_for_cars(" ".join(sorted(map(str, kinds))))
+        else:
+            add_lanelet(element, path, file.map)
             file.signs_of[name] = _refs(element, "trafficSignRef")
             file.lights_of[name] = _refs(element, "trafficLightRef")
             if element.find("stopLine") is not None:
-                points = element.iterfind("stopLine/point")
-                file.stop[name] = [(value_of(p, "x", str(path)), value_of(p, "y", str(path))) for p in points]
-            count += len(file.lanelets[name].x_m)
+                with file.map.unreadable("stop lines"):
+                    points = element.iterfind("stopLine/point")
+                    file.stop[name] = [(value_of(p, "x", str(path)), value_of(p, "y", str(path))) for p in points]
+            count += len(element.findall("leftBound/point"))
         if count > MAX_POINTS:
             raise InputError(f"{path}: more than {MAX_POINTS} points of lanelets; split the file")
-    if not file.lanelets:
-        raise InputError(f"{path}: no lanelets; give a scenario with a road")
     return _network(file)
 
 
@@ -120,7 +111,7 @@ class _Light(NamedTuple):
 class _Scenario:
     """What a file says: of lanelets by name, of signs and lights by name, and where incoming lanelets lead."""
 
-    lanelets: dict[str, Lanelet] = field(default_factory=dict)
+    map: MapLanes
     signs_of: dict[str, tuple[str, ...]] = field(default_factory=dict)
     lights_of: dict[str, tuple[str, ...]] = field(default_factory=dict)
     stop: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
@@ -141,12 +132,12 @@ def _refs(element: Element, name: str) -> tuple[str, ...]:
     return tuple(one.get("ref", "") for one in element.iterfind(name))
 
 
-def _signs(element: Element, path: Path) -> Iterator[tuple[str, float]]:
-    """The signs at a place: the number of each, and the value on it, or NaN."""
+def _signs(element: Element, lanes: MapLanes) -> Iterator[tuple[str, float]]:
+    """The signs at a place: the number of each, and the speed limit on it, or infinity."""
+    where = f"traffic sign {element.get('id', '')[:40]}"
     for one in element.iterfind("trafficSignElement"):
         kind, value = one.findtext("trafficSignID", "").strip(), one.findtext("additionalValue", "").strip()
-        where = f"{path}: traffic sign {element.get('id', '')[:40]}"
-        yield kind, number(value, "additionalValue", where) if kind in _LIMIT and value else np.nan
+        yield kind, lanes.speed_limit(value, "m/s", where) if kind in _LIMIT and value else np.inf
 
 
 def _light(element: Element, path: Path, period_s: float) -> _Light:
@@ -166,12 +157,11 @@ def _light(element: Element, path: Path, period_s: float) -> _Light:
 
 
 def _network(file: _Scenario) -> Network:
-    lanelets = {
-        name: replace(one, speed_limit=min([value for kind, value in _of(file, name) if kind in _LIMIT and value > 0.0]
-                                           or [np.inf]))
-        for name, one in file.lanelets.items()
-    }  # fmt: skip
-    bare = Network(linked(lanelets))
+    file.map.lanes = {
+        name: replace(one, speed_limit=min((limit for _, limit in _of(file, name)), default=np.inf))
+        for name, one in file.map.lanes.items()
+    }
+    bare = Network(file.map.linked("give a scenario with a road"))
     priority: dict[str, int] = {}
     stop_m: dict[str, float] = {}
     for k, lane in enumerate(bare.lanes):
@@ -186,7 +176,7 @@ def _network(file: _Scenario) -> Network:
     arms = _arms(file, bare)
     found = conflicts_of_geometry(bare.lanes, priority, stop_m)
     conflicts = tuple(replace(one, yields=one.yields or _yields(one, priority, arms)) for one in found)
-    return Network(bare.lanes, conflicts, _signals(file, bare))
+    return Network(bare.lanes, conflicts, _signals(file, bare), file.map.notes())
 
 
 def _of(file: _Scenario, name: str) -> list[tuple[str, float]]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.map_parts import LeftOut, at_parts, linked, middle_of
+from sugiyama_ros.formats.map_parts import MapLanes, at_parts, middle_of
 from sugiyama_ros.formats.reading import elements, number
 from sugiyama_ros.roads.conflicts import conflicts_of_geometry
 from sugiyama_ros.roads.network import FARTHEST_M, Lanelet, Network, Signal
@@ -45,10 +45,10 @@ class _Relation(NamedTuple):
 class _Map:
     """A map: local places of nodes [m] and their latitudes and longitudes [degrees]; ways, lanelets and rules.
 
-    left_out: what is not read.
+    map: the lanes that they make.
     """
 
-    left_out: LeftOut
+    map: MapLanes
     local: dict[str, tuple[float, float]] = field(default_factory=dict)
     degrees: dict[str, tuple[float, float]] = field(default_factory=dict)
     way: dict[str, list[str]] = field(default_factory=dict)
@@ -74,13 +74,13 @@ class _Bounds(NamedTuple):
 
 def read_lanelet2(path: Path) -> Network:
     """Read a map of Lanelet2. Raises InputError."""
-    file = _Map(LeftOut(path))
+    file = _Map(MapLanes(path))
     for element in elements(path, "node", "way", "relation"):
         if element.get("action") == "delete":
             continue
         name = element.get("id", "")
         if element.tag == "node":
-            with file.left_out.unreadable("nodes"):
+            with file.map.unreadable("nodes"):
                 _add_node(file, element, f"{path}: node {name[:40]}")
         elif element.tag == "way":
             file.way[name] = [one.get("ref", "") for one in element.iterfind("nd")]
@@ -91,7 +91,7 @@ def read_lanelet2(path: Path) -> Network:
                 if kind in _FOR_CARS or "yes" in (relation.tags.get(one) for one in _SAYS_CARS):
                     file.lanelets[name] = relation
                 else:
-                    file.left_out.not_for_cars(kind[:40])
+                    file.map.not_for_cars(kind[:40])
             elif relation.tags.get("type") == "regulatory_element":
                 file.rules[name] = relation
         if len(file.degrees) + len(file.local) + len(file.way) > _MAX_NODES:
@@ -181,30 +181,29 @@ def _mercator(degrees: Array, meridian: float) -> Array:
 def _network(file: _Map) -> Network:
     bounds: dict[str, _Bounds] = {}
     for name, relation in file.lanelets.items():
-        with file.left_out.unreadable("lanelets"):
+        with file.map.unreadable("lanelets"):
             bounds[name] = _bounds(file, name, relation)
     begins: dict[tuple[str, str], list[str]] = {}
     for name, one in bounds.items():
         begins.setdefault((one.left[0], one.right[0]), []).append(name)
     by_left, by_right = ({getattr(one, side): name for name, one in bounds.items()} for side in ("left", "right"))
-    found: dict[str, Lanelet] = {}
-    points: dict[str, Sequence[str]] = {}
     for name, (left, right) in bounds.items():
         after = tuple(begins.get((left[-1], right[-1]), ()))
         x, y, width = middle_of(file.places(left), file.places(right))
         if len(x) == 1:
-            points[name] = after
+            file.map.points[name] = after
             continue
-        with file.left_out.unreadable("lanelets"):
+        with file.map.unreadable("lanelets"):
             limit = _limit(file, file.lanelets[name])
-            found[name] = Lanelet(name, x, y, after, by_right.get(left, ""), by_left.get(right, ""), limit, width)
-    file.left_out.check_any(found, "give a map of Lanelet2")
-    lanes = linked(found, points)
+            file.map.lanes[name] = Lanelet(
+                name, x, y, after, by_right.get(left, ""), by_left.get(right, ""), limit, width
+            )
+    lanes = file.map.linked("give a map of Lanelet2")
     network = Network(lanes)
     first, stop_m = _right_of_way(file, network)
     conflicts = conflicts_of_geometry(lanes, stop_m=stop_m)
     conflicts = tuple(replace(one, yields=one.other in first.get(one.lane, ())) for one in conflicts)
-    return Network(lanes, conflicts, tuple(_signals(file, network)), file.left_out.notes())
+    return Network(lanes, conflicts, tuple(_signals(file, network)), file.map.notes())
 
 
 def _bounds(file: _Map, name: str, lanelet: _Relation) -> _Bounds:
@@ -242,8 +241,7 @@ def _limit(file: _Map, lanelet: _Relation) -> float:
     rules = (file.rules[name].tags for name in lanelet.members.get("regulatory_element", ()) if name in file.rules)
     texts = [tags.get("sign_type", "") for tags in rules if tags.get("subtype") == "speed_limit"]
     texts = [text for text in (*texts, lanelet.tags.get("speed_limit", "")) if text]
-    limits = [file.left_out.speed_limit(text, "km/h", f"lanelet {lanelet.name[:40]}") for text in texts]
-    return min((limit for limit in limits if limit is not None), default=np.inf)
+    return min((file.map.speed_limit(text, "km/h", f"lanelet {lanelet.name[:40]}") for text in texts), default=np.inf)
 
 
 def _stop(file: _Map, rule: _Relation, lane: Lanelet) -> float:

@@ -1,8 +1,8 @@
-"""Parts of maps: what readers leave out, and how the lanes that are left go on."""
+"""The lanes of a map as a reader finds them, and what it leaves out."""
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -22,13 +22,17 @@ _STEP_M = 2.0
 _WIDTHS_M = (0.5, 50.0)
 
 
-class LeftOut:
-    """What a reader of a map leaves out: parts that cannot be read, and lanes that are not for cars.
+class MapLanes:
+    """The lanes of a map as they are read, by name; they may name lanes that are not there.
 
-    path: the map.
+    Parts that cannot be read and lanes that are not for cars are left out and counted.
+
+    path: the map. lanes: the lanes; points: of lanes without any length, the names of those that follow.
     """
 
     def __init__(self, path: Path) -> None:
+        self.lanes: dict[str, Lanelet] = {}
+        self.points: dict[str, tuple[str, ...]] = {}
         self._path, self._first = path, dict[str, str]()
         self._unreadable, self._not_for_cars = Counter[str](), Counter[str]()
 
@@ -41,10 +45,9 @@ class LeftOut:
         try:
             yield
         except InputError as error:
-            self.count(what, str(error))
+            self._count(what, str(error))
 
-    def count(self, what: str, why: str) -> None:
-        """Count a part that cannot be read."""
+    def _count(self, what: str, why: str) -> None:
         self._unreadable[what] += 1
         self._first.setdefault(what, why.removeprefix(f"{self._path}: "))
 
@@ -52,23 +55,43 @@ class LeftOut:
         """Count a lane of a kind that is not for cars."""
         self._not_for_cars[kind] += 1
 
-    def speed_limit(self, text: str, usual: str, where: str) -> float | None:
-        """A speed limit [m/s] above 0; None for anything else, which is counted.
+    def speed_limit(self, text: str, usual: str, where: str) -> float:
+        """A speed limit [m/s] above 0; infinite for anything else, which is counted.
 
         usual: the unit of a number without one.
         """
         speed = _SPEED.fullmatch(text)
         unit = _UNITS.get((speed[2].lower() or usual) if speed else "")
         if speed is None or unit is None or not float(speed[1]) > 0.0:
-            self.count("speed limits", f"{where}: speed limit {text[:40]!r} is no speed")
-            return None
+            self._count("speed limits", f"{where}: speed limit {text[:40]!r} is no speed")
+            return np.inf
         return float(speed[1]) * unit
 
-    def check_any(self, lanes: Mapping[str, Lanelet], cure: str) -> None:
-        """Raise InputError if no lane is left, with the reason."""
-        if not lanes:
+    def linked(self, cure: str) -> tuple[Lanelet, ...]:
+        """The lanes, naming only those that are there; those without length are passed over. Raises InputError if none.
+
+        cure: what to do where the map has no lane.
+        """
+        if not self.lanes:
             why = [f"the first cannot be read: {self._first[what]}" for what in self._unreadable] or [cure]
             raise InputError(f"{self._path}: no lanes for cars; {why[0]}")
+        return tuple(
+            replace(
+                lane,
+                successors=tuple(dict.fromkeys(self._onward(lane.successors))),
+                left=lane.left if lane.left in self.lanes else "",
+                right=lane.right if lane.right in self.lanes else "",
+            )
+            for lane in self.lanes.values()
+        )
+
+    def _onward(self, names: Sequence[str], passed: frozenset[str] = frozenset()) -> Iterator[str]:
+        """Names of the lanes that are there, in place of those without length the lanes after them."""
+        for name in names:
+            if name in self.lanes:
+                yield name
+            elif name in self.points and name not in passed:
+                yield from self._onward(self.points[name], passed | {name})
 
     def notes(self) -> tuple[str, ...]:
         """What was left out, in words."""
@@ -82,42 +105,16 @@ class LeftOut:
         )
 
 
-def linked(lanes: Mapping[str, Lanelet], points: Mapping[str, Sequence[str]] | None = None) -> tuple[Lanelet, ...]:
-    """Lanes that name only those that are there.
-
-    lanes: the lanes by name, which may name others; points: the successors of lanes without any length, which are
-    passed over: their successors follow the lanes before them.
-    """
-    over = points or {}
-
-    def onward(names: Sequence[str], passed: frozenset[str] = frozenset()) -> Iterator[str]:
-        for name in names:
-            if name in lanes:
-                yield name
-            elif name in over and name not in passed:
-                yield from onward(over[name], passed | {name})
-
-    return tuple(
-        replace(
-            lane,
-            successors=tuple(dict.fromkeys(onward(lane.successors))),
-            left=lane.left if lane.left in lanes else "",
-            right=lane.right if lane.right in lanes else "",
-        )
-        for lane in lanes.values()
-    )
-
-
-def middle_of(left: Array, right: Array) -> tuple[Array, Array, float]:
+def middle_of(left: Array, right: Array, in_pairs: bool = False) -> tuple[Array, Array, float]:
     """The middle of two bounds (N, 2) [m], and the mean width [m].
 
-    The middle is x, y (P,) [m], halfway between places at the same part of the lengths of the bounds; P is 1 if the
-    lane has no length.
+    The middle is x, y (P,) [m], halfway between places at the same part of the lengths of the bounds, or if their
+    points come in pairs, halfway between these; P is 1 if the lane has no length.
     """
     lengths_m = [float(np.hypot(*np.diff(one, axis=0).T).sum()) for one in (left, right)]
     count = max(len(left), len(right), int(max(lengths_m) / _STEP_M) + 1)
     part: Array = np.linspace(0.0, 1.0, count, dtype=np.float64)
-    points = [at_parts(one, part) for one in (left, right)]
+    points = [left, right] if in_pairs else [at_parts(one, part) for one in (left, right)]
     middle = 0.5 * (points[0] + points[1])
     kept = middle[np.concatenate(([True], np.hypot(*np.diff(middle, axis=0).T) > 0.0))]
     return kept[:, 0], kept[:, 1], float(np.clip(np.hypot(*(points[0] - points[1]).T).mean(), *_WIDTHS_M))

@@ -14,7 +14,7 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.map_parts import LeftOut, linked
+from sugiyama_ros.formats.map_parts import MapLanes
 from sugiyama_ros.formats.reading import elements, number, root_of
 from sugiyama_ros.roads.conflicts import conflicts_of_geometry
 from sugiyama_ros.roads.network import Lanelet, Network, Signal, periodic
@@ -41,14 +41,11 @@ class _Link(NamedTuple):
 class _Net:
     """What a file says: lanes and the links from them, and of junctions and traffic lights by name.
 
-    left_out: what is not read; keeps_left: whether vehicles keep to the left; points: lanes without any length, as
-    inside a junction of two edges in a line.
+    map: the lanes; some inside junctions have no length; keeps_left: whether vehicles keep to the left.
     """
 
-    left_out: LeftOut
+    map: MapLanes
     keeps_left: bool
-    points: set[str] = field(default_factory=set)
-    lanes: dict[str, Lanelet] = field(default_factory=dict)
     links: dict[str, list[_Link]] = field(default_factory=dict)
     junctions: dict[str, Element] = field(default_factory=dict)
     programs: dict[str, Element] = field(default_factory=dict)
@@ -57,7 +54,7 @@ class _Net:
 def read_sumo_net(path: Path) -> Network:
     """Read a network of SUMO. Raises InputError."""
     keeps_left = root_of(path).get("lefthand", "").lower() in ("1", "true")
-    net, points = _Net(LeftOut(path), keeps_left), 0
+    net, points = _Net(MapLanes(path), keeps_left), 0
     for element in elements(path, "edge", "junction", "connection", "tlLogic"):
         name = element.get("id", "")
         if element.tag == "connection":
@@ -73,7 +70,6 @@ def read_sumo_net(path: Path) -> Network:
             points += _add_lanes(net, element, path)
         if points > _MAX_POINTS:
             raise InputError(f"{path}: more than {_MAX_POINTS} points of lanes; cut the network")
-    net.left_out.check_any(net.lanes, "give a network of SUMO")
     try:
         return _network(net, path)
     except InputError as error:
@@ -99,22 +95,22 @@ def _add_lanes(net: _Net, edge: Element, path: Path) -> int:
     """Add the lanes of an edge that are for cars; returns the number of their points."""
     lanes = [*edge.iterfind("lane")]
     for lane in [one for one in lanes if not _is_for_cars(one)]:
-        net.left_out.not_for_cars(" ".join(lane.get("allow", "closed").split()[:3]))
+        net.map.not_for_cars(" ".join(lane.get("allow", "closed").split()[:3]))
         lanes.remove(lane)
     # the first lane of an edge is the one at the side of the road
     names, points = [lane.get("id", "") for lane in lanes], 0
     for lane, name, outer, inner in zip(lanes, names, ["", *names], [*names[1:], ""], strict=False):
-        with net.left_out.unreadable("lanes"):
+        with net.map.unreadable("lanes"):
             where = f"{path}: lane {name[:40]}"
             shape = _shape(lane, where)
             points += len(shape)
             if len(shape) == 1:
-                net.points.add(name)
+                net.map.points[name] = ()
                 continue
-            limit = net.left_out.speed_limit(lane.get("speed", ""), "m/s", where) or np.inf
+            limit = net.map.speed_limit(lane.get("speed", ""), "m/s", where)
             width = number(lane.get("width", "3.2"), "width", where)
             left, right = (outer, inner) if net.keeps_left else (inner, outer)
-            net.lanes[name] = Lanelet(name, shape[:, 0], shape[:, 1], (), left, right, limit, width)
+            net.map.lanes[name] = Lanelet(name, shape[:, 0], shape[:, 1], (), left, right, limit, width)
     return points
 
 
@@ -130,10 +126,9 @@ def _shape(lane: Element, where: str) -> Array:
 
 def _network(net: _Net, path: Path) -> Network:
     after = {name: tuple(one.via or one.after for one in links) for name, links in net.links.items()}
-    lanes = linked(
-        {name: replace(one, successors=after.get(name, ())) for name, one in net.lanes.items()},
-        {name: after.get(name, ()) for name in net.points},
-    )
+    net.map.points = {name: after.get(name, ()) for name in net.map.points}
+    net.map.lanes = {name: replace(one, successors=after.get(name, ())) for name, one in net.map.lanes.items()}
+    lanes = net.map.linked("give a network of SUMO")
     phases = {name: [one.get("state", "") for one in program] for name, program in net.programs.items()}
     first: dict[str, set[str]] = {}
     stop_m: dict[str, float] = {}
@@ -145,11 +140,11 @@ def _network(net: _Net, path: Path) -> Network:
                 # who waits inside the junction drives to the end of the first lane there
                 if not (waits and k == 0):
                     stop_m[name] = 0.0 - before
-                    before += net.lanes[name].length_m
+                    before += net.map.lanes[name].length_m
     conflicts = tuple(
         replace(one, yields=one.other in first.get(one.lane, ())) for one in conflicts_of_geometry(lanes, stop_m=stop_m)
     )
-    return Network(lanes, conflicts, tuple(_signals(net, path)), net.left_out.notes())
+    return Network(lanes, conflicts, tuple(_signals(net, path)), net.map.notes())
 
 
 def _ways(
@@ -160,7 +155,7 @@ def _ways(
     for link in (one for name in junction.get("incLanes", "").split() for one in net.links.get(name, ())):
         inside = _inside(net, link)
         if inside:
-            ways[inside[-1]] = link, [name for name in inside if name in net.lanes]
+            ways[inside[-1]] = link, [name for name in inside if name in net.map.lanes]
     # requests are numbered as the last lanes inside the junction are listed
     numbered = junction.get("intLanes", "").split()
     for request in junction.iterfind("request"):
@@ -179,7 +174,7 @@ def _ways(
 def _inside(net: _Net, link: _Link) -> list[str]:
     """The lanes of a link inside its junction."""
     lanes, name = [], link.via
-    while (name in net.lanes or name in net.points) and name not in lanes:
+    while (name in net.map.lanes or name in net.map.points) and name not in lanes:
         lanes.append(name)
         name = next((one.via for one in net.links.get(name, ())), "")
     return lanes
@@ -201,7 +196,7 @@ def _signals(net: _Net, path: Path) -> Iterator[Signal]:
         program = net.programs[link.light]
         where = f"{path}: tlLogic {link.light[:40]}"
         states = [one.get("state", "") for one in program]
-        if link.via not in net.lanes or not all(0 <= link.place < len(state) for state in states):
+        if link.via not in net.map.lanes or not all(0 <= link.place < len(state) for state in states):
             continue
         if program.get("type", "static") != "static" or not states:
             yield Signal(link.via, 0.0, np.zeros(0), np.zeros(0, dtype=bool))

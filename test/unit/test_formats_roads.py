@@ -67,7 +67,7 @@ def test_a_road_in_csv_says_who_yields_where(tmp_path: Path) -> None:
         ("<net></net>", "road.csv: no lanes for cars; give a network of SUMO"),
         ("<kml></kml>", "road.csv: not a road of Lanelet2, CommonRoad or SUMO"),
         ("<osm></osm>", "road.csv: no lanes for cars; give a map of Lanelet2"),
-        ("<commonRoad></commonRoad>", "road.csv: no lanelets"),
+        ("<commonRoad></commonRoad>", "road.csv: no lanes for cars; give a scenario with a road"),
     ],
 )
 def test_roads_that_cannot_be_read_say_why(tmp_path: Path, text: str, error: str) -> None:

@@ -220,3 +220,47 @@ def test_the_handed_maps_of_lanelet2() -> None:
     tracks = sg.read(case / "vehicle_tracks_000.csv", road=case / "map.osm")
     assert tracks.road.used() == ("7 15 20",)
     assert np.isnan(tracks.line_m).all()
+
+
+def test_odd_parts_of_a_scenario_are_counted(tmp_path: Path) -> None:
+    """Bounds of unlike many points are repaired; a lanelet without length is passed over."""
+    here, gone = "<point><x>{}</x><y>{}</y></point>", '<lanelet id="99"><leftBound/><rightBound/></lanelet>'
+    point = "".join(
+        f"<{side}Bound>{here.format(55, y) * 2}</{side}Bound>" for side, y in (("left", 1.5), ("right", -1.5))
+    )
+    text = maps.scenario('<trafficSignRef ref="21"/>', '<trafficLightRef ref="30"/>')
+    first = text.index("<rightBound>")
+    text = text[:first] + text[first:].replace("<rightBound>", f"<rightBound>{here.format(0.0, -1.5)}", 1)
+    text = text.replace('<successor ref="3"/>', '<successor ref="8a"/>').replace(">8.5<", ">50 km/h<")
+    walk = maps.bounds((0.0, 9.0), (9.0, 9.0)) + "<laneletType>sidewalk</laneletType>"
+    text = text.replace("<duration>300<", "<duration>long<").replace(
+        "</commonRoad>",
+        f'<lanelet id="8a">{point}<successor ref="3"/></lanelet>{gone}<lanelet id="10">{walk}</lanelet></commonRoad>',
+    )
+    path = tmp_path / "a.xml"
+    path.write_text(text)
+    road = sg.read_road(path)
+    lanes = {one.name: one for one in road.lanes}
+    assert "8a" not in lanes
+    assert (lanes["2"].successors, lanes["1"].length_m) == (("3",), 45.0)
+    assert lanes["4"].speed_limit == pytest.approx(50.0 / 3.6)
+    assert road.signals == ()
+    assert road.notes == (
+        "road: 1 traffic lights cannot be read and were left out; the first: traffic light 30: duration 'long' is not a"
+        " finite number; correct or remove the line",
+        "road: 1 lanelets cannot be read and were left out; the first: lanelet 99: 0 points on the left and 0 on the"
+        " right; give two or more of each",
+        "road: lanes that are not for cars were left out: 1 sidewalk",
+    )
+
+
+@handed
+def test_the_handed_scenarios() -> None:
+    for name in (
+        "commonroad_goal_lanelet/cr_goal",
+        "commonroad_goal_lanelet/cr_plain",
+        "commonroad_uncertain_position/cr_rect",
+    ):
+        tracks = sg.read(CASES / f"{name}.xml")
+        assert (tracks.runs, len(tracks)) == (2, 120)
+        assert tracks.leader.values()[:60].tolist().count(None) in (0, 60)
