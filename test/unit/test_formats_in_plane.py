@@ -115,6 +115,35 @@ def test_a_file_in_the_plane_needs_a_road_and_others_take_none(tmp_path: Path, n
         sg.read(sg.read(table).to_frame(), road=network)
 
 
+def test_lengths_follow_from_gaps_over_two_edges_of_a_road(tmp_path: Path) -> None:
+    """A truck, a car behind it, and a car that nobody follows."""
+    path, steps = tmp_path / "fcd.xml", []
+    for k in range(40):
+        rows = []
+        for name, kind, front, led in (
+            ("t", "truck", 80.0, 'leaderID="" leaderGap="-1"'),
+            ("a", "car", 50.0, 'leaderID="t" leaderGap="18"'),
+            ("b", "car", 30.0, 'leaderID="a" leaderGap="15.5"'),
+        ):
+            x = front + 2.0 * k
+            lane, pos = ("e_0", x) if x < 100.0 else ("f_0", x - 100.0)
+            at = f'x="{x}" y="0" angle="90" pos="{pos}" lane="{lane}" speed="10"'
+            rows.append(f'<vehicle id="{name}" type="{kind}" {at} {led}/>')
+        steps.append(f'<timestep time="{0.2 * k:.1f}">{"".join(rows)}</timestep>')
+    path.write_text(f"<fcd-export>{''.join(steps)}</fcd-export>")
+    lanes = (
+        Lanelet("e_0", np.array([0.0, 100.0]), np.zeros(2), ("f_0",)),
+        Lanelet("f_0", np.array([100.0, 300.0]), np.zeros(2)),
+    )
+    tracks = sg.read(path, road=Network(lanes))
+    lengths = dict(zip(tracks.vehicle.values().tolist(), tracks.length_m.tolist(), strict=True))
+    assert lengths == {"t": 12.0, "a": 4.5, "b": 4.5}
+    assert (
+        "lengths of 2 vehicles follow from the gaps of those behind, of 1 from others of their type"
+        in tracks.about.notes
+    )
+
+
 def shifted(path: Path, east_m: float, north_m: float, scale: float = 1.0) -> Path:
     """Floating car data in another frame."""
 
