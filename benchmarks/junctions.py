@@ -103,7 +103,8 @@ def make(arguments: argparse.Namespace) -> None:
     _run(
         f"{sumo} -n road.net.xml -r traffic.rou.xml --seed {arguments.seed} --step-length {arguments.step}"
         f" --end {60.0 * arguments.minutes} --fcd-output fcd.xml"
-        " --fcd-output.attributes id,x,y,angle,speed,pos,lane,type --precision 3"
+        " --fcd-output.attributes id,x,y,angle,speed,pos,lane,type,leaderID,leaderGap"
+        " --fcd-output.max-leader-distance 300 --precision 3"
         " --collision.action warn --no-step-log true --lanechange.duration 3",
         folder,
     )

@@ -18,7 +18,7 @@ from sugiyama_ros.driver.line import SOFT_S, TIME_GAP_S, USUAL, attention, time_
 from sugiyama_ros.driver.parameters import REFERENCE_HORIZON, REFERENCE_PERIOD_S
 from sugiyama_ros.jit import kernel
 from sugiyama_ros.roads.network import Network, Path
-from sugiyama_ros.roads.view import FREE_M, InSight, OnNetwork, Sides, hidden, is_beside
+from sugiyama_ros.roads.view import FREE_M, InSight, OnNetwork, Sides, hidden, is_beside, leaving
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.assemble import assemble
 from sugiyama_ros.trajectories.labels import Labels, labels
@@ -149,15 +149,15 @@ def _lane_on(j: int, own: Array, now: Moment, ways: RouteLines) -> int:
     """
     route = now.route[j]
     k = _lane_at(now.place[j], route, ways)
-    lane = ways.order[route, k]
+    lane = int(ways.order[route, k])
     if not math.isnan(own[lane]):
         return lane
     if k > 0 and now.place[j] - 0.5 * now.length[j] <= ways.start[route, lane]:
-        behind = ways.order[route, k - 1]
+        behind = int(ways.order[route, k - 1])
         if not math.isnan(own[behind]):
             return behind
     if now.is_recorded and k + 1 < ways.order.shape[1] and ways.order[route, k + 1] >= 0:
-        ahead = ways.order[route, k + 1]
+        ahead = int(ways.order[route, k + 1])
         if not math.isnan(own[ahead]) and now.place[j] + 0.5 * now.length[j] > ways.start[route, ahead]:
             return ahead
     return -1
@@ -303,9 +303,9 @@ def scene(network: Network, paths: Sequence[Path], rows: OnNetwork) -> tuple[Int
     if len(there):
         ways, unseen = lines_of_routes(network, paths), hidden(rows)
         row, time, place = there, rows.time_s[there], rows.place[there]
-        if unseen is not None:
-            row = np.concatenate((row, unseen.row))
-            time, place = np.concatenate((time, unseen.time_s)), np.concatenate((place, unseen.place))
+        for more in (leaving(rows, paths), *([] if unseen is None else [unseen])):
+            row = np.concatenate((row, more.row))
+            time, place = np.concatenate((time, more.time_s)), np.concatenate((place, more.place))
         speed, lost = _speeds(rows, there)[row], np.arange(len(row)) >= len(there)
         across, usual, half = (side[row] for side in rows.sides)
         half = np.where(lost, np.inf, half)

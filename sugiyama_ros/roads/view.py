@@ -119,6 +119,33 @@ def hidden(seen: OnNetwork) -> Hidden | None:
     )
 
 
+def leaving(seen: OnNetwork, paths: Sequence[Path]) -> Hidden:
+    """Where vehicles still are on a route that they have left for another one: for the way of a vehicle's length."""
+    before, after = seen.steps()
+    changed = (seen.route[before] >= 0) & (seen.route[after] >= 0) & (seen.route[before] != seen.route[after])
+    goes_on = dict(zip(before.tolist(), after.tolist(), strict=True))
+    found: list[tuple[int, float, float]] = []
+    for old, new in zip(before[changed].tolist(), after[changed].tolist(), strict=True):
+        row, place, end = new, seen.place[old], paths[seen.route[old]].length_m
+        later = goes_on.get(new, new)
+        step_s = seen.time_s[later] - seen.time_s[new]
+        if seen.route[later] == seen.route[new] and step_s > 0.0:
+            speed = (seen.place[later] - seen.place[new]) / step_s
+            place = place + speed * (seen.time_s[new] - seen.time_s[old])
+        while seen.route[row] == seen.route[new]:
+            way = seen.place[row] - seen.place[new]
+            if way >= seen.length[old] or place + way >= end:
+                break
+            found.append((old, float(seen.time_s[row]), float(place + way)))
+            if row not in goes_on or seen.time_s[row] - seen.time_s[new] > _LONGEST_ABSENCE_S:
+                break
+            row = goes_on[row]
+    row_of, time, place_of = zip(*found, strict=True) if found else ((),) * 3
+    return Hidden(
+        np.array(row_of, dtype=np.int64), np.array(time, dtype=np.float64), np.array(place_of, dtype=np.float64)
+    )
+
+
 class InSight:
     """Which places of routes are in view, and when.
 

@@ -139,6 +139,45 @@ def test_the_road_goes_on_while_there_is_no_fork(tmp_path: Path, after: tuple[st
     assert set(tracks.leader.values()[rows].tolist()) == {leader}
 
 
+def test_who_has_come_in_with_the_front_is_ahead(tmp_path: Path) -> None:
+    side = np.array([-80.0, 0.0])
+    lanes = [
+        Lanelet("main", np.array([-100.0, 0.0]), np.zeros(2), ("on",)),
+        Lanelet("side", side, -side * 0.6, ("on",)),
+    ]
+    network = Network((*lanes, Lanelet("on", np.array([0.0, 200.0]), np.zeros(2))))
+    path = tmp_path / "vehicle_tracks_000.csv"
+    text = ["track_id,timestamp_ms,agent_type,x,y,psi_rad,length,width"]
+    for k in range(100):
+        along = -50.0 + k
+        place = (along, 0.0, 0.0) if along > 0.0 else (along / 1.166, -0.6 * along / 1.166, -0.54)
+        text += [f"m,{100 * k},car,{','.join(f'{one:.3f}' for one in place)},4.5,1.8"]
+        text += [f"f,{100 * k},car,{-90.0 + k:.3f},0,0,4.5,1.8"]
+    path.write_text("\n".join(text) + "\n")
+    tracks = sg.read(path, road=network)
+    led = tracks.leader.values()[tracks.vehicle.values() == "f"]
+    # the front comes in 2.25 m before the centre
+    assert led[:47].tolist() == [None] * 47
+    assert led[49:].tolist() == ["m"] * 51
+
+
+def test_who_has_just_changed_lanes_may_still_be_in_the_way(tmp_path: Path) -> None:
+    lane = np.array([0.0, 400.0])
+    lanes = Lanelet("r", lane, np.zeros(2), left="l"), Lanelet("l", lane, np.full(2, 3.5), right="r")
+    path = tmp_path / "vehicle_tracks_000.csv"
+    text = ["track_id,timestamp_ms,agent_type,x,y,psi_rad,length,width"]
+    for k in range(100):
+        for name, place in (("b", 100.0), ("a", 60.0), ("f", 10.0)):
+            side = 3.5 if name == "a" and k >= 50 else 0.0
+            text += [f"{name},{100 * k},car,{place + k},{side},0,4.5,1.8"]
+    path.write_text("\n".join(text) + "\n")
+    tracks = sg.read(path, road=Network(lanes))
+    assert ahead(tracks, "f") == ["a", None, "b"]
+    led = tracks.leader.values()[tracks.vehicle.values() == "f"].tolist()
+    # for the way of its length, 4.5 m at 1 m a sample
+    assert (led.count("a"), led.count(None), led.count("b")) == (50, 5, 45)
+
+
 BESIDE = {
     "bus on a lane that is not in the map": Drive("b", 0.0, 40.0, 400.0, 8.0, 3.1, "12.0", 2.5, "bus"),
     "parked at the kerb": Drive("b", 0.0, 150.0, 60.0, 0.0, -2.7),
