@@ -55,6 +55,7 @@ def main() -> None:
     made.add_argument(
         "--flow", type=float, default=0.0, help="vehicles an hour on each way in, if not the usual number"
     )
+    made.add_argument("--change", type=float, default=3.0, help="how long a change of lanes takes [s]; 0: no time")
     made.add_argument("--sumo", type=Path, default=None, help="folder of SUMO's programs")
     found = parts.add_parser("routes")
     found.add_argument("folders", type=Path, nargs="+")
@@ -105,7 +106,7 @@ def make(arguments: argparse.Namespace) -> None:
         f" --end {60.0 * arguments.minutes} --fcd-output fcd.xml"
         " --fcd-output.attributes id,x,y,angle,speed,pos,lane,type,leaderID,leaderGap"
         " --fcd-output.max-leader-distance 300 --precision 3"
-        " --collision.action warn --no-step-log true --lanechange.duration 3",
+        f" --collision.action warn --no-step-log true --lanechange.duration {arguments.change}",
         folder,
     )
     network = read_road(folder / "road.net.xml")
