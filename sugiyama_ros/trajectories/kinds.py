@@ -41,11 +41,11 @@ def is_driver(text: str) -> bool:
     return class_name(text) not in _NO_DRIVERS
 
 
-def others(kind: Labels, who: Ints, about: About) -> tuple[Mask, About]:
+def others(kind: Labels, who: Ints, about: About, behind: str = "") -> tuple[Mask, About]:
     """The rows (R,) of those who drive nothing, and where tracks without them come from.
 
-    kind: class of each row; who: number (R,) of each row's vehicle. Of classes that change, the most frequent counts.
-    Raises InputError if nobody drives.
+    kind: class of each row; who: number (R,) of each row's vehicle; behind: what else the note says. Of classes that
+    change, the most frequent counts. Raises InputError if nobody drives.
     """
     named = kind.code >= 0
     no_driver = np.append([not is_driver(text) for text in kind.text], False).astype(bool)[kind.code]
@@ -58,7 +58,7 @@ def others(kind: Labels, who: Ints, about: About) -> tuple[Mask, About]:
     said = ", ".join(f"{count} {name}" for name, count in sorted(counts.items()))
     if gone.all():
         raise InputError(f"{about.source or 'tracks'}: nobody drives a vehicle: {said}; give a file with vehicles")
-    note = f"no drivers, and left out: {said}; the leader of whoever is behind them is unknown" * bool(counts)
+    note = f"no drivers, and left out: {said}{behind}" * bool(counts)
     return gone, about.without("no driver", int(gone.sum())).noting(note)
 
 
@@ -66,7 +66,8 @@ def drivers_only(tracks: Tracks) -> Tracks:
     """The tracks without those who drive nothing. Raises InputError if nobody drives."""
     if tracks.vehicle_class is None:
         return tracks
-    gone, about = others(tracks.vehicle_class, tracks.run, tracks.about)
+    behind = "; the leader of whoever is behind them is unknown"
+    gone, about = others(tracks.vehicle_class, tracks.run, tracks.about, behind)
     if not gone.any():
         return tracks
     kept = tracks.select(~gone)

@@ -229,7 +229,7 @@ def test_who_may_walk_or_ride_is_no_driver_and_a_bicycle_is(tmp_path: Path, netw
     )
     tracks = sg.read(path, road=network)
     assert tracks.vehicle.used() == ("0", "1")
-    assert any("left out: 1 pedestrian/bicycle" in note for note in tracks.about.notes)
+    assert "no drivers, and left out: 1 pedestrian/bicycle" in tracks.about.notes
     path.write_text(text.replace(",car,", ",pedestrian/bicycle,"))
     with pytest.raises(InputError, match="nobody drives a vehicle: 3 pedestrian/bicycle; give a file with vehicles"):
         sg.read(path, road=network)
