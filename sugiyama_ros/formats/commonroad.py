@@ -207,12 +207,11 @@ def _read_commonroad(path: Path, choices: Choices) -> Tracks:
     still: list[tuple[str, str, array[float]]] = []
     counts, points = Counter[str](), 0
     for element in elements(path, "lanelet", "dynamicObstacle", "staticObstacle", "obstacle"):
+        name, kind = element.get("id", ""), element.findtext("type", "").strip()
         if element.tag == "lanelet":
             add_lanelet(element, path, lanelets)
             points += len(element.findall("leftBound/point"))
-            continue
-        name, kind = element.get("id", ""), element.findtext("type", "").strip()
-        if element.tag == "staticObstacle" or element.findtext("role", "").strip().lower() == "static":
+        elif element.tag == "staticObstacle" or element.findtext("role", "").strip().lower() == "static":
             still.append((name, "static_obstacle" if is_driver(kind) else kind, array("d")))
             _add(element, path, period, still[-1][2], counts)
         else:
