@@ -114,6 +114,11 @@ class Candidate:
         return 0 if self.kind == "measurement" or (self.kind == "effect" and not self.is_random) else 1
 
     @property
+    def order(self) -> tuple[int, bool, bool]:
+        """What is added first of what cannot be told apart: by rank, then what all drivers share."""
+        return self.rank, self.individual, bool(self.drivers)
+
+    @property
     def effect(self) -> str:
         """Name of the effect, whoever has it."""
         return self.name.removesuffix(OF_SOME)

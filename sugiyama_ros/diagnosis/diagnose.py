@@ -356,8 +356,8 @@ def _best(bench: _Bench, current: Entry, won: dict[Entry, dict[str, Difference]]
     """The model that gains most, of those that are better; and what cannot be told apart from it; won: gain of each.
 
     Among models that cannot be told apart, what changes how drivers act goes before freed constants, forces and moods,
-    and these before noises: whatever else is missing shows in them, too. Then, what all drivers have goes before what
-    some have, and what gains most before the rest; of decisions, one step ahead.
+    and these before noises: whatever else is missing shows in them, too. Then, what all drivers share goes before what
+    some have or each has in their own way, and what gains most before the rest; of decisions, one step ahead.
     """
     allowed = _allowed(bench, current, won)
     if not allowed:
@@ -365,7 +365,7 @@ def _best(bench: _Bench, current: Entry, won: dict[Entry, dict[str, Difference]]
     first = allowed[0]
     alike = [e for e in won if e is first or not first.over(bench.data, e)["all"].is_clear]
     won_by = {e: won[e][e.added[-1].judged_by].nats for e in alike}
-    order = sorted(alike, key=lambda e: (e.added[-1].rank, bool(e.added[-1].drivers), -won_by[e]))
+    order = sorted(alike, key=lambda e: (*e.added[-1].order, -won_by[e]))
     best = next((e for e in order if e in allowed and _is_away(bench, e, e.added[-1])), None)
     return best, [e for e in alike if e is not best]
 
