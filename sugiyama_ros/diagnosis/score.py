@@ -150,7 +150,8 @@ class ScoreOfSome(Score):
         signs = (1.0,) if self.candidate.has_sign else (1.0, -1.0)
         gain, size, share = np.full((3, len(totals)), -np.inf)
         # single precision: half of the time
-        own, known = totals[:, :, 0].astype(np.float32), information.astype(np.float32)
+        most = float(np.finfo(np.float32).max)
+        own, known = (np.clip(one, -most, most).astype(np.float32) for one in (totals[:, :, 0], information))
         for one in (sign * k * usual for sign in signs for k in _SIZES):
             ratio = np.clip(_ratios(own, known, np.float32(one)), np.float32(-50.0), np.float32(50.0))
             for part in _SHARES:

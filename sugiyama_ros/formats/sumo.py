@@ -87,7 +87,7 @@ def _read_sumo(path: Path, choices: Choices) -> Tracks:
         columns["road"] = labels(root[edges.code].astype(np.int32), edges.text)
     gap = columns.pop("gap_m", None)
     if "length_m" not in columns:
-        columns["length_m"], note = _lengths(columns, gap, root[edges.code])
+        columns["length_m"], note = _lengths(columns, gap, root[edges.code], edges.code.astype(np.int64))
         about = about.noting(note)
     note = f"{many} edges make {roads} road{'s' * (roads > 1)}" * (many > 1)
     about = replace(about.noting(note), ring_m=ring_m if roads == 1 else 0.0)
@@ -112,13 +112,15 @@ def _on_road(path: Path, choices: Choices, network: Network) -> Tracks:
     columns["heading_m"] = np.radians(90.0 - np.asarray(columns.pop("angle_m")))
     lane, edge, gap = (columns.pop(name, None) for name in ("lane_name", "edge", "gap_m"))
     if "length_m" not in columns:
-        road: Ints = np.zeros(len(columns["s_m"]), dtype=np.int64)
         along = columns
+        road: Ints = np.zeros(len(columns["s_m"]), dtype=np.int64)
+        lane_of: Ints = road
         if isinstance(lane, Labels) or isinstance(edge, Labels):
             edges, _ = _edges(lane, edge, path)
             s_m, root, _ = _along_edges(columns, edges)
             along, road = columns | {"s_m": s_m}, np.asarray(root[edges.code])
-        columns["length_m"], note = _lengths(along, gap, road)
+            lane_of = np.asarray((lane if isinstance(lane, Labels) else edges).code, dtype=np.int64)
+        columns["length_m"], note = _lengths(along, gap, road, lane_of)
         about = about.noting(note)
     columns.pop("leader", None)
     return put_together(*on_road(columns, network, about, "front", _CURE), choices, reference="front")
@@ -147,10 +149,13 @@ def _of_lanes(lane: Labels, path: Path) -> tuple[Labels, Labels]:
     return labels(lane.code, [edge for edge, _, _ in parts]), labels(lane.code, [number for _, _, number in parts])
 
 
-def _lengths(columns: Mapping[str, Array | Labels], gap: Array | Labels | None, road: Ints) -> tuple[Array, str]:
+def _lengths(
+    columns: Mapping[str, Array | Labels], gap: Array | Labels | None, road: Ints, lane: Ints
+) -> tuple[Array, str]:
     """Lengths [m] of the vehicles of the rows, (R,), and a note on where they come from.
 
-    A vehicle that others follow on a road is as long as the way between two front bumpers is longer than the gap.
+    A vehicle that others follow on a road is as long as the way between two front bumpers is longer than the gap. On
+    one lane, or edge, it is sure that they follow: a gap over a junction may be that to somebody who crosses.
     """
     vehicle, s, time = text_of(columns, "vehicle"), np.asarray(columns["s_m"]), np.asarray(columns["time_s"])
     length = np.full(len(vehicle.text), np.nan)
@@ -165,8 +170,10 @@ def _lengths(columns: Mapping[str, Array | Labels], gap: Array | Labels | None, 
         row = order[np.minimum(np.searchsorted(key, wanted, sorter=order), len(key) - 1)]
         way = s[row] - s[followed] - np.asarray(gap)[followed]
         told = (ahead >= 0) & (key[row] == wanted) & (road[row] == road[followed]) & (way > 0.0)
+        sure = told & (lane[row] == lane[followed])
         for one in np.unique(ahead[told]).tolist():
-            length[one] = round(float(np.median(way[told & (ahead == one)])), 2)
+            own = ahead == one
+            length[one] = round(float(np.median(way[sure & own] if (sure & own).any() else way[told & own])), 2)
     known = np.isfinite(length)
     if "class" in columns:
         # a type of vehicles has one length

@@ -454,10 +454,9 @@ def _data(d: Document) -> list[str]:
     if d.get("drivers_left_out"):
         lines.append(left_out(int(d["drivers_left_out"]), int(d["vehicles"])))
     if d.get("drivers_searched", d["vehicles"]) < d["vehicles"]:
-        lines.append(
-            f"Searched on {d['drivers_searched']} of {d['vehicles']} drivers, evenly spread over the recording; what"
-            " was found is fitted to all drivers, and judged by all."
-        )
+        judged = "; what was found is fitted to all drivers, and judged by all" * bool(d["verdict"]["effects"])
+        some = f"{d['drivers_searched']} of {d['vehicles']}"
+        lines.append(f"Searched on {some} drivers, evenly spread over the recording{judged}.")
     missed = [] if d["verdict"].get("asked") else d["verdict"].get("not_searched")
     if missed and d["errors"]["before"].get("free_run_10s_m") is None:
         reasons = [f"{named(d, one['name'])}: {one['reason']}" for one in missed]

@@ -18,7 +18,7 @@ from sugiyama_ros.driver.line import SOFT_S, TIME_GAP_S, USUAL, attention, time_
 from sugiyama_ros.driver.parameters import REFERENCE_HORIZON, REFERENCE_PERIOD_S
 from sugiyama_ros.jit import kernel
 from sugiyama_ros.roads.network import Network, Path
-from sugiyama_ros.roads.view import FREE_M, InSight, OnNetwork, Sides, hidden, is_beside, leaving
+from sugiyama_ros.roads.view import FREE_M, InSight, OnNetwork, Sides, behind_lost, hidden, is_beside, leaving
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.assemble import assemble
 from sugiyama_ros.trajectories.labels import Labels, labels
@@ -320,6 +320,7 @@ def scene(network: Network, paths: Sequence[Path], rows: OnNetwork) -> tuple[Int
             led = np.where(ahead >= 0, np.where(lost[some[ahead]], UNKNOWN, own[ahead]), ahead)
             kept = ~lost[some]
             leader[own[kept]], shift[own[kept]], line[own[kept]] = led[kept], shifts[kept], lines[kept]
+        leader[behind_lost(leader, rows)] = UNKNOWN
         nobody = np.flatnonzero(leader == FREE)
         is_free = InSight(paths, rows).far(nobody, FREE_M) if unseen is not None else np.zeros(len(nobody), dtype=bool)
         leader[nobody[~is_free]] = UNKNOWN

@@ -72,9 +72,10 @@ class OnNetwork(NamedTuple):
     recording: Ints
     sides: Sides
 
-    def steps(self) -> tuple[Ints, Ints]:
-        """Rows of successive samples of a vehicle, as rows before and after."""
-        order = np.lexsort((self.time_s, self.vehicle, self.recording))
+    def steps(self, of: Ints | None = None) -> tuple[Ints, Ints]:
+        """Rows of successive samples of a vehicle, as rows before and after; ``of``: among these rows alone."""
+        rows = np.arange(len(self.vehicle)) if of is None else of
+        order = rows[np.lexsort((self.time_s[rows], self.vehicle[rows], self.recording[rows]))]
         before, after = order[:-1], order[1:]
         same = (self.vehicle[before] == self.vehicle[after]) & (self.recording[before] == self.recording[after])
         same &= self.time_s[after] - self.time_s[before] <= _LONGEST_ABSENCE_S
@@ -92,11 +93,15 @@ class Hidden(NamedTuple):
 def hidden(seen: OnNetwork) -> Hidden | None:
     """Where vehicles are between two samples of theirs when others have one; None for too many.
 
-    A vehicle that changes its route meanwhile is on both.
+    A vehicle that changes its route meanwhile is on both. Who is on no lane between them, and back at once, was on it:
+    to leave a lane takes longer.
     """
-    before, after = seen.steps()
-    both = (seen.route[before] >= 0) & (seen.route[after] >= 0)
-    before, after = before[both], after[both]
+    every, following = seen.steps()
+    following_of = np.full(len(seen.route), -1)
+    following_of[every] = following
+    before, after = seen.steps(np.flatnonzero(seen.route >= 0))
+    there = (following_of[before] == after) | (seen.time_s[after] - seen.time_s[before] < _SIDE_S)
+    before, after = before[there], after[there]
     tick = ticks(seen.time_s)
     width = int(tick.max(initial=0)) + 1
     moment = seen.recording * width + tick
@@ -144,6 +149,28 @@ def leaving(seen: OnNetwork, paths: Sequence[Path]) -> Hidden:
     return Hidden(
         np.array(row_of, dtype=np.int64), np.array(time, dtype=np.float64), np.array(place_of, dtype=np.float64)
     )
+
+
+def behind_lost(leader: Ints, seen: OnNetwork) -> Mask:
+    """Rows (R,) of followers of somebody who is seen no more: whoever was there then is beyond, and not the leader.
+
+    leader: (R,), row of each leader, or a negative number. Ends where somebody new comes between, and with the route.
+    """
+    run = seen.recording * (int(seen.vehicle.max(initial=0)) + 1) + seen.vehicle
+    begin, end = (np.full(int(run.max(initial=0)) + 1, limit) for limit in (np.inf, -np.inf))
+    np.minimum.at(begin, run, seen.time_s)
+    np.maximum.at(end, run, seen.time_s)
+    lost = np.zeros(len(leader), dtype=bool)
+    order = np.lexsort((seen.time_s, run))
+    new = (np.diff(run[order]) != 0) | (np.diff(seen.route[order]) != 0)
+    for own in np.split(order, np.flatnonzero(new) + 1):
+        ahead = np.where(leader[own] >= 0, run[leader[own]], -1)
+        for k in np.flatnonzero(np.diff(ahead)).tolist():
+            if ahead[k] >= 0 and end[ahead[k]] < seen.time_s[own[k + 1]]:
+                there = own[k + 1 :]
+                known_then = begin[ahead[k + 1 :]] <= end[ahead[k]]
+                lost[there] |= (leader[there] < 0) | known_then
+    return lost
 
 
 class InSight:

@@ -9,6 +9,7 @@ import pytest
 
 import sugiyama_ros as sg
 from sugiyama_ros.roads.network import Lanelet, Network
+from sugiyama_ros.roads.view import OnNetwork, hidden, middle_of
 from sugiyama_ros.trajectories.leaders import gaps
 from sugiyama_ros.trajectories.tracks import Tracks
 
@@ -105,6 +106,28 @@ def test_who_is_not_seen_for_a_while_is_still_there(tmp_path: Path) -> None:
     hole = rows & (tracks.leader.values() != "1") & (tracks.s_m < 500.0)
     assert tracks.leader.values()[hole].tolist() == [None] * int(hole.sum())
     assert hole.sum() in (24, 25)
+
+
+def test_behind_who_is_seen_no_more_the_leader_is_unknown_until_somebody_new_comes_between(tmp_path: Path) -> None:
+    road = straight(0.0, 900.0)
+    lost = Drive("2", 0.0, 60.0, 160.0, 10.0)
+    drives = (Drive("1", 0.0, 300.0, 900.0, 20.0), lost, Drive("3", 0.0, 30.0, 600.0, 10.0))
+    assert ahead(recorded(tmp_path, road, *drives), "3") == ["2", None]
+    newcomer = Drive("4", 20.0, 300.0, 900.0, 10.0)
+    assert ahead(recorded(tmp_path, road, *drives, newcomer), "3") == ["2", None, "4"]
+
+
+@pytest.mark.parametrize(("off_s", "is_there"), [(0.4, True), (3.0, False)])
+def test_who_is_off_all_lanes_for_a_moment_is_still_there(off_s: float, is_there: bool) -> None:
+    time = np.tile(np.arange(0.0, 6.0, 0.2), 2)
+    vehicle = np.repeat([0, 1], len(time) // 2)
+    off = (vehicle == 0) & (time > 1.1) & (time < 1.1 + off_s)
+    place, size = 10.0 * time + 30.0 * (1 - vehicle), np.full(len(time), 4.5)
+    on = OnNetwork(vehicle, np.where(off, -1, 0), time, place, size, np.zeros_like(vehicle), middle_of(len(time)))
+    found = hidden(on)
+    assert found is not None
+    assert len(found.row) == is_there * off.sum()
+    assert found.place == pytest.approx(place[off] if is_there else [])
 
 
 @pytest.mark.parametrize("period_s", [0.2, 1.0])
