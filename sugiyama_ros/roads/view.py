@@ -152,24 +152,26 @@ def leaving(seen: OnNetwork, paths: Sequence[Path]) -> Hidden:
 
 
 def behind_lost(leader: Ints, seen: OnNetwork) -> Mask:
-    """Rows (R,) of followers of somebody who is seen no more: whoever was there then is beyond, and not the leader.
+    """Rows (R,) behind somebody who is seen no more: who was there then is beyond, and not the leader.
 
     leader: (R,), row of each leader, or a negative number. Ends where somebody new comes between, and with the route.
     """
     run = seen.recording * (int(seen.vehicle.max(initial=0)) + 1) + seen.vehicle
-    begin, end = (np.full(int(run.max(initial=0)) + 1, limit) for limit in (np.inf, -np.inf))
+    ahead = np.where(leader >= 0, run[leader], -1)
+    begin, end, followed_until = (np.full(int(run.max(initial=0)) + 1, far) for far in (np.inf, -np.inf, np.inf))
     np.minimum.at(begin, run, seen.time_s)
     np.maximum.at(end, run, seen.time_s)
-    lost = np.zeros(len(leader), dtype=bool)
+    # whoever comes later behind the leader of somebody who is lost does not see who is between, either
+    last = (seen.time_s == end[run]) & (ahead >= 0)
+    np.minimum.at(followed_until, ahead[last], seen.time_s[last])
+    lost: Mask = (ahead >= 0) & (seen.time_s > followed_until[ahead]) & ~last
     order = np.lexsort((seen.time_s, run))
     new = (np.diff(run[order]) != 0) | (np.diff(seen.route[order]) != 0)
     for own in np.split(order, np.flatnonzero(new) + 1):
-        ahead = np.where(leader[own] >= 0, run[leader[own]], -1)
-        for k in np.flatnonzero(np.diff(ahead)).tolist():
-            if ahead[k] >= 0 and end[ahead[k]] < seen.time_s[own[k + 1]]:
-                there = own[k + 1 :]
-                known_then = begin[ahead[k + 1 :]] <= end[ahead[k]]
-                lost[there] |= (leader[there] < 0) | known_then
+        who = ahead[own]
+        for k in np.flatnonzero(np.diff(who)).tolist():
+            if who[k] >= 0 and end[who[k]] < seen.time_s[own[k + 1]]:
+                lost[own[k + 1 :]] |= (who[k + 1 :] < 0) | (begin[who[k + 1 :]] <= end[who[k]])
     return lost
 
 
