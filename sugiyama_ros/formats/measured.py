@@ -273,7 +273,9 @@ def _is_bag(head: bytes, path: Path) -> bool:
         # Imported here: a file of text needs no messages, whose code takes long to load.
         from sugiyama_ros.formats.mcap_reader import split_files
 
-        return (path / "metadata.yaml").is_file() or bool(split_files(path))
+        # tables beside a bag are a folder of tables, as they are without it
+        alone = all(".mcap" in file.suffixes for file in path.iterdir() if file.is_file())
+        return (path / "metadata.yaml").is_file() or (alone and bool(split_files(path)))
     return head.startswith(MAGIC) or path.suffix.lower() == ".mcap" or path.name.endswith((".mcap.zstd", ".mcap.zst"))
 
 

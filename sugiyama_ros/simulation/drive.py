@@ -122,23 +122,17 @@ def remember(traffic: Traffic) -> None:
 
 
 @kernel
-def _then(i: int, ago: float, traffic: Traffic, period: float) -> tuple[float, float]:
-    """Return position [m] and speed [m/s] of vehicle i some periods [s] ago: driven back from the period after.
-
-    The speed is a straight line between the periods. Estimated positions jump from one period to the next, because each
-    has seen a further measurement: the later one knows more.
-    """
+def _then(i: int, ago: float, traffic: Traffic) -> tuple[float, float]:
+    """Return position [m] and speed [m/s] of vehicle i some periods ago, by straight lines between the periods."""
     past = traffic.past
     late = min(math.ceil(ago), len(past))
     early, share = late - 1, ago - (late - 1)
+    x, v = past[late - 1, 0, i], past[late - 1, 1, i]
     if early == 0:
         x_after, v_after = traffic.position[i], traffic.speed[i]
-        v = max(v_after - period * traffic.acceleration[i], 0.0)
     else:
         x_after, v_after = past[early - 1, 0, i], past[early - 1, 1, i]
-        v = past[late - 1, 1, i]
-    speed = v_after + share * (v - v_after)
-    return x_after - 0.5 * share * period * (v_after + speed), speed
+    return x_after + share * (x - x_after), v_after + share * (v - v_after)
 
 
 @kernel
@@ -176,9 +170,9 @@ def drive(
         past_gap, past_speed, past_leader_speed = gap, speed[i], leader_speed
         ago = looks_back(rows[i]) / setting.period
         if ago > 0.0:
-            own, past_speed = _then(i, ago, traffic, setting.period)
+            own, past_speed = _then(i, ago, traffic)
             if leader[i] >= 0:
-                other, past_leader_speed = _then(leader[i], ago, traffic, setting.period)
+                other, past_leader_speed = _then(leader[i], ago, traffic)
                 past_gap = gap + (other - traffic.position[leader[i]]) - (own - position[i])
         line_gap, arrive_s, clear_s, curvature = np.inf, np.inf, np.inf, 0.0
         if not math.isnan(order.line[i, 0]):

@@ -101,6 +101,19 @@ def _neighbourhood(i: int, order: Order) -> tuple[Ints, Order]:
 
 
 @kernel
+def _look_back_from_now(traffic: Traffic, period: float) -> None:
+    """Let the neighbours of the first vehicle have come from where they are, in the past period [s]; changed in place.
+
+    Estimated positions jump from one sample to the next, because each has seen a further measurement: the later one
+    knows more of the past, too.
+    """
+    for j in range(1, len(traffic.speed) if len(traffic.past) > 0 else 0):
+        v = max(traffic.speed[j] - period * traffic.acceleration[j], 0.0)
+        traffic.past[0, 0, j] = traffic.position[j] - 0.5 * period * (traffic.speed[j] + v)
+        traffic.past[0, 1, j] = v
+
+
+@kernel
 def run_single(
     who: Ints,
     recorded: Array,
@@ -131,6 +144,7 @@ def run_single(
             accelerations = bs + recorded[k, near, 2]
             xs[0], vs[0], bs[0], accelerations[0] = x, v, b, a
             traffic = Traffic(xs, vs, bs, accelerations, past)
+            _look_back_from_now(traffic, setting.period)
             order_near.line[0] = lines[k, i]
             drive(traffic, order_near, rows_near, actions, now, setting, held, pushed)
             remember(traffic)

@@ -116,5 +116,5 @@ def test_the_commands_work_on_two_lanes(two_lanes, tmp_path, capsys):
 def test_drivers_need_to_follow_for_long_enough(ring):
     tracks = ring.measured
     short = np.asarray(tracks.time_s) < tracks.time_s[0] + SHORTEST_STRETCH_S - 1.0
-    with pytest.raises(InputError, match="nobody follows"):
+    with pytest.raises(InputError, match=r"nobody is seen for more than 3\.67 s"):
         prepare_stretches(tracks.select(short))
