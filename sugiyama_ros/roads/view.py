@@ -50,7 +50,7 @@ def is_beside(i: int, j: int, alongside: bool, sides: Sides) -> bool:
     return alongside and abs(sides.across[j] - sides.across[i]) >= both
 
 
-def middle_of(count: int) -> Sides:
+def nobody_beside(count: int) -> Sides:
     """Sides of vehicles of which only the places along their lanes are known."""
     return Sides(np.zeros(count), np.zeros(count), np.full(count, np.inf))
 

@@ -21,7 +21,7 @@ from sugiyama_ros.results import Result
 from sugiyama_ros.road import Road
 from sugiyama_ros.roads.network import Network, Path
 from sugiyama_ros.roads.scene import InView, Moment, lines_of_routes, see_scene, signals_at, tracks_on
-from sugiyama_ros.roads.view import OnNetwork, middle_of
+from sugiyama_ros.roads.view import OnNetwork, nobody_beside
 from sugiyama_ros.simulation.drive import Order, Setting, Traffic, Wandering, begin, drive, measure, move, remember
 from sugiyama_ros.simulation.result import Collision
 from sugiyama_ros.simulation.simulator import Clock
@@ -235,7 +235,7 @@ class JunctionSimulator:
             self.length_m[here],
             red,
             since,
-            middle_of(len(here)),
+            nobody_beside(len(here)),
             False,
         )
 
@@ -381,7 +381,7 @@ def simulate_junction(simulator: JunctionSimulator, duration_s: float) -> Juncti
             measured,
             length_m,
             np.zeros_like(vehicle),
-            middle_of(len(vehicle)),
+            nobody_beside(len(vehicle)),
         ),
         seen=InView(*(np.concatenate(part) for part in zip(*views, strict=True))),
         place_m=place,

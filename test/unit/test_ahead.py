@@ -9,7 +9,7 @@ import pytest
 
 import sugiyama_ros as sg
 from sugiyama_ros.roads.network import Lanelet, Network
-from sugiyama_ros.roads.view import OnNetwork, hidden, middle_of
+from sugiyama_ros.roads.view import OnNetwork, hidden, nobody_beside
 from sugiyama_ros.trajectories.leaders import gaps
 from sugiyama_ros.trajectories.tracks import Tracks
 
@@ -123,7 +123,7 @@ def test_who_is_off_all_lanes_for_a_moment_is_still_there(off_s: float, is_there
     vehicle = np.repeat([0, 1], len(time) // 2)
     off = (vehicle == 0) & (time > 1.1) & (time < 1.1 + off_s)
     place, size = 10.0 * time + 30.0 * (1 - vehicle), np.full(len(time), 4.5)
-    on = OnNetwork(vehicle, np.where(off, -1, 0), time, place, size, np.zeros_like(vehicle), middle_of(len(time)))
+    on = OnNetwork(vehicle, np.where(off, -1, 0), time, place, size, np.zeros_like(vehicle), nobody_beside(len(time)))
     found = hidden(on)
     assert found is not None
     assert len(found.row) == is_there * off.sum()
